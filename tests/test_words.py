@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,6 +12,7 @@ import pytest
 
 from bench.cli.command_line import commands
 from bench.cli.verbs import guide
+from bench.core.files.places import PACKAGE
 
 ROOT = Path(__file__).parents[1]
 PAGES = {"README": ROOT / "README.md", "CONTRIBUTING": ROOT / "CONTRIBUTING.md", **guide.find_pages()}
@@ -129,6 +131,28 @@ def test_help_texts_read_once():
             assert not re.search(pattern, prose, re.IGNORECASE), f"{name}: {mark!r}"
         assert [term for term in BANNED if term in prose.lower()] == [], name
         assert [one for one in list_sentences(prose) if len(one.split()) > LONGEST] == [], name
+
+
+HARD = {
+    "that of": r"\b(?:that|those) of\b",
+    "begins without a verb": r"\A(?:What|Whether|It|How|Where|That|Those|Who)\b",
+    "who": r"\b(?:who|whoever|whose)\b",
+    "tell": r"\b(?:tells?|told)\b",
+    "say": r"\b(?:says?|said)\b",
+    "judge": r"\b(?:judges?|judged|believes?)\b",
+}
+MOST_HARD = 320
+"""Docstrings inside the package whose first paragraph has a mark of `HARD`, of 4900; it may only fall."""
+
+
+def test_docstrings_inside_get_no_harder_to_read():
+    kinds = (ast.Module, ast.ClassDef, ast.FunctionDef)
+    trees = [ast.parse(path.read_text(encoding="utf-8")) for path in PACKAGE.rglob("*.py")]
+    docs = [ast.get_docstring(one) for tree in trees for one in ast.walk(tree) if isinstance(one, kinds)]
+    firsts = [" ".join(doc.partition("\n\n")[0].split()) for doc in docs if doc]
+    assert len(firsts) > 4000
+    hard = [first for first in firsts if any(re.search(pattern, first) for pattern in HARD.values())]
+    assert len(hard) <= MOST_HARD
 
 
 def test_marks_are_counted_in_prose_alone():

@@ -1,4 +1,4 @@
-"""What the verbs share: their group, common options, the console."""
+"""Common parts of the verbs: their group, common options, the console."""
 
 from __future__ import annotations
 

@@ -37,7 +37,7 @@ class Orbits(NamedTuple):
 
 
 class RecordedRanges(NamedTuple):
-    """What the ranges of a receiver tell, on the clock of a log [s]."""
+    """Fixes and noise from the ranges of a receiver, on the clock of a log [s]."""
 
     fixes: LogRows
     observations: GnssObservations | None  # if the datasheet that is assumed has a [sky]

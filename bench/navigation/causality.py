@@ -25,7 +25,7 @@ _WHOLE = 0.9  # of the time before a time: a filter that uses so much uses the w
 
 @dataclass(frozen=True, slots=True)
 class LookAhead:
-    """How far a filter looks ahead."""
+    """Result of the look-ahead test of a filter."""
 
     seconds: float  # the longest that was found [s]; 0: none
     whole: bool  # as far as to the begin of the record

@@ -26,7 +26,7 @@ from bench.navigation.forward_filters import FORWARD
 
 @dataclass(frozen=True)
 class Limit:
-    """What an option may be, checked and in words."""
+    """Allowed values of an option, as a check and in words."""
 
     allows: Callable[[Any], bool]
     words: str
@@ -118,7 +118,7 @@ class AidingOptions(FixOptions):
 
     @property
     def accuracy(self) -> FixAccuracy | None:
-        """How fixes are weighed; None if none are used."""
+        """Return how fixes are weighed; None if none are used."""
         return self.fix_accuracy if self.gnss else None
 
 
@@ -188,7 +188,7 @@ class FusionOptions(IntegrityOptions, AidingOptions):
 
     @property
     def tight(self) -> bool:
-        """Whether GNSS is used by satellite."""
+        """Return whether GNSS is used by satellite."""
         return False
 
     @model_validator(mode="after")
@@ -224,7 +224,7 @@ class TightOptions(FusionOptions):
 
     @property
     def tight(self) -> bool:
-        """Whether GNSS is used by satellite."""
+        """Return whether GNSS is used by satellite."""
         return True
 
 
@@ -252,7 +252,7 @@ class SmootherOptions(FusionOptions):
 
     @property
     def tight(self) -> bool:
-        """Whether GNSS is used by satellite."""
+        """Return whether GNSS is used by satellite."""
         return self.over == "tight"
 
 

@@ -63,7 +63,7 @@ def run(
     progress: Progress | None = None,
     show: ShowFlight | None = None,
 ) -> RunResult:
-    """Fly, sense, navigate with every filter of the profile, and judge.
+    """Fly, sense, run every filter of the profile, and evaluate.
 
     A filter that raises, or cannot start where others can, has failed: its metrics say why, and the
     others go on.

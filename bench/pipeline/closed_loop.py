@@ -52,7 +52,7 @@ Watch = Callable[[Trajectory], object] | None
 
 @dataclass(frozen=True, slots=True)
 class ClosedFlight:
-    """What a flight by an estimate gave."""
+    """Result of a flight that an estimate steered."""
 
     truth: Trajectory
     answers: NavSolution  # that steered, in real time: by what had arrived
@@ -60,7 +60,7 @@ class ClosedFlight:
 
 @dataclass(frozen=True, slots=True)
 class ServedFlight:
-    """What a flight with a client gave."""
+    """Result of a flight with a client."""
 
     truth: Trajectory
     answers: NavSolution | None  # of the client, if it gave any
@@ -90,7 +90,7 @@ class Deliveries:
 
 
 class Navigator(Protocol):
-    """Who is asked where the aircraft is: a filter on board, or a client on its line."""
+    """Source of the estimate that steers: a filter on board, or a connected client."""
 
     def answer(self, data: SensorData, initial: InitialState, end: float) -> NavSolution:
         """Take what has arrived until a time [s] and return the answer at it."""
@@ -349,7 +349,7 @@ def _follow(
 
 
 def _tell_height(belief: Belief, data: SensorData, piece: Trajectory, on_board: SensorsSpec) -> None:
-    """Tell what the radar altimeter has measured last, as an error of the height above ground."""
+    """Return what the radar altimeter has measured last, as an error of the height above ground."""
     radar = data.radar
     if radar is None or not len(radar.t):
         return

@@ -175,7 +175,7 @@ def sense(profile: Profile, truth: Trajectory, run: int = 0) -> Sensed:
 
 @dataclass(frozen=True, slots=True)
 class Navigated:
-    """What the filters of a run or a log answered, by label."""
+    """Solutions of the filters of a run or a log, by label."""
 
     solutions: dict[str, NavSolution] = field(default_factory=dict)
     unmodeled: dict[str, list[str] | None] = field(default_factory=dict)
@@ -377,7 +377,7 @@ def explain(
 
 
 def _is_searched(choice: EstimatorChoice, causes: bool | None) -> bool:
-    """Tell whether a filter runs again to find out why its covariance is broken; one from a file cannot."""
+    """Return whether a filter runs again to find out why its covariance is broken; one from a file cannot."""
     asked = choice.use in built_in.BUILT_IN if causes is None else causes
     return asked and not choice.use.startswith("file:")
 

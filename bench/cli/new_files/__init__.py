@@ -1,1 +1,1 @@
-"""What `bench new` writes: examples, aircraft and logs."""
+"""Files that `bench new` writes: examples, aircraft and logs."""

@@ -97,7 +97,7 @@ def find_impact(records: LogRecords) -> float | None:
 
 
 def _holds(spec: LogSpec, records: LogRecords, kind: str, at: float, duration: float, heading: str) -> bool:
-    """Tell whether the filters can start so."""
+    """Return whether the filters can start so."""
     start = StartSpec(
         alignment=kind,
         at=at,

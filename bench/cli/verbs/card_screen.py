@@ -39,7 +39,7 @@ def print_card(console: Console, card: Card) -> None:
 
 
 class _CardRow:
-    """What the lines of a card say of a flight."""
+    """Row of a flight on the screen of a card."""
 
     def __init__(self, card: Card, flight: str) -> None:
         lines = [line for line in card.lines if line.flight == flight]

@@ -1,4 +1,4 @@
-"""What installed packages add to bench, and what of it cannot be used."""
+"""Additions of installed packages, and the ones that cannot be used."""
 
 from __future__ import annotations
 

@@ -102,7 +102,7 @@ class Kernel:
 
     @property
     def _numba_type_(self) -> Any:
-        """What numba asks for where a kernel names another one."""
+        """Return what numba asks for where a kernel names another one."""
         return self._part._numba_type_
 
 

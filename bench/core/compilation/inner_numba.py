@@ -1,4 +1,4 @@
-"""What kernels use of numba's inner parts: its passes, its libraries, the files of its cache.
+"""Uses of numba's inner parts by kernels: passes, libraries, cache files.
 
 These are not for others, and may be other ones in any version: `bench.core.compilation.compiled` tries them
 in small, and goes without where they fail.

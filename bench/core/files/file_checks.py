@@ -1,4 +1,4 @@
-"""What a file of others must be before it is opened."""
+"""Checks of a file before it is opened."""
 
 from __future__ import annotations
 

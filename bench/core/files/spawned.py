@@ -54,7 +54,7 @@ def count_work(before: float, now: float, look: float) -> float:
 
 
 class Watch:
-    """What a process may take from now on: wall time [s], and memory of its own [byte]."""
+    """Limits of a process from now on: wall time [s], and memory of its own [byte]."""
 
     def __init__(self, pid: int, seconds: float, memory: float) -> None:
         self._pid, self._seconds, self._memory = pid, seconds, memory
@@ -75,7 +75,7 @@ class Watch:
 
 
 class Printed:
-    """What a process prints: the begin and the end, as much as is worth keeping.
+    """Output of a process: its begin and its end.
 
     Parameters
     ----------

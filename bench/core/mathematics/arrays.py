@@ -59,14 +59,14 @@ def as_float(name: str, value: ArrayLike, shape: Shape, *, finite: bool = True) 
 
 
 def is_array(value: object, dtype: np.dtype[Any], shape: Shape) -> bool:
-    """Tell whether a value is a C-ordered array of a dtype and shape: there is nothing to convert."""
+    """Return whether a value is a C-ordered array of a dtype and shape: there is nothing to convert."""
     if type(value) is not np.ndarray or value.dtype is not dtype or not value.flags.c_contiguous:
         return False
     return _fits(value.shape, shape)
 
 
 def is_short_and_finite(array: FloatArray) -> bool:
-    """Tell whether an array is finite, where one look tells it: it has few rows."""
+    """Return whether an array is finite, where one look tells it: it has few rows."""
     # of finite values alone is the sum of squares finite; `isfinite` takes twice as long
     return len(array) <= _FEW and math.isfinite(np.vdot(array, array))
 
@@ -108,7 +108,7 @@ def take_increasing(column: FloatArray, rows: IntArray) -> FloatArray:
 
 
 def same_array(one: FloatArray, other: FloatArray) -> bool:
-    """Tell whether two arrays are equal: at once if they are one."""
+    """Return whether two arrays are equal: at once if they are one."""
     return one is other or np.array_equal(one, other)
 
 

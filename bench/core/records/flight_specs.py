@@ -248,7 +248,7 @@ class ScriptSpec:
 
 @dataclass(frozen=True, slots=True)
 class TrackSpec:
-    """What a track of positions does not tell: the vehicle, its fixes' noise, the wind it flew in."""
+    """Assumptions about a track of positions: the vehicle, the noise of the fixes, the wind."""
 
     vehicle: str = "aircraft"  # or "ground"
     noise: float | None = None  # sd of a fix, north and east each [m]; None: estimated

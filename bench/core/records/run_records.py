@@ -1,4 +1,4 @@
-"""What surrounds the data of a filter: the sensors' true errors, references, and the errors of solutions.
+"""Records around the data of a filter: true sensor errors, references, and errors of solutions.
 
 Frames and units are those of `bench.core.records.data`. No filter gets any of these.
 """
@@ -90,7 +90,7 @@ class Sensed(Rebuilt):
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Reference(Rebuilt):
-    """What another unit says of the motion of a log, to evaluate by; no filter gets it."""
+    """Motion of a log from another system, for evaluation; no filter gets it."""
 
     track: NavSolution  # of its own point at its own times; a block that it does not have is NaN
     point_b: FloatArray  # (3,) that point relative to the IMU [m], b
@@ -130,7 +130,7 @@ class ErrorSeries(Record):
 
 @declared
 class OffPath(Record):
-    """How far a flight that an estimate flew was off its path; NaN where there is no path."""
+    """Deviation of a flight that an estimate steered from its path; NaN without a path."""
 
     t: FloatArray = column("t_s")  # (M,) [s]
     right: FloatArray = column("right_m")  # (M,) of the truth, to the right of the path [m]

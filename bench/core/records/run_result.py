@@ -61,7 +61,7 @@ class RunResult(Rebuilt):
 
     @property
     def evaluation(self) -> EvaluationWindow:
-        """What its figures count."""
+        """Return what its figures count."""
         return EvaluationWindow.of_document(self.profile)
 
     @property

@@ -192,7 +192,7 @@ class ImuSpec:
 
     @property
     def feels_air(self) -> bool:
-        """Whether an error depends on gusts or engine speed of the flight."""
+        """Return whether an error depends on gusts or engine speed of the flight."""
         v = self.vibration
         return max(v.engine_gyro, v.engine_accel, v.gust_gyro, v.gust_accel) > 0
 
@@ -295,7 +295,7 @@ class SkySpec:
 
     @property
     def ionosphere_left(self) -> bool:
-        """Whether ranges have an error of the ionosphere beyond the broadcast model."""
+        """Return whether ranges have an error of the ionosphere beyond the broadcast model."""
         return max(self.ionosphere_sd, self.ionosphere_share) > 0
 
 
@@ -358,7 +358,7 @@ class GnssSpec:
 
     @property
     def jumps(self) -> bool:
-        """Whether the error jumps where the satellites in use change."""
+        """Return whether the error jumps where the satellites in use change."""
         passing = (self.pos_h_jump_sd, self.pos_v_jump_sd, self.vel_jump_sd)
         return any((*passing, self.pos_h_jump_markov_sd, self.pos_v_jump_markov_sd, self.vel_jump_markov_sd))
 

@@ -88,7 +88,7 @@ class EstimatorChoice:
 
 @dataclass(frozen=True, slots=True)
 class EvaluationWindow:
-    """What of a run its figures count: the options of ``[evaluation]`` that judge.
+    """Part of a run that the metrics cover: the options of ``[evaluation]``.
 
     A further one is a field here, with its key in a file, and a key of `config.profile_tables`; the record
     goes with the profile to wherever something is evaluated.

@@ -1,4 +1,4 @@
-"""What a result shows in a notebook: sentences, and tables of at most a screen, as HTML without scripts."""
+"""Output of results in notebooks: sentences, and tables of at most a screen, as HTML without scripts."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ _drawers: list[Callable[..., Any]] = []
 
 
 def set_drawer(drawer: Callable[..., Any]) -> None:
-    """Say what draws results; `bench.views` does."""
+    """Return what draws results; `bench.views` does."""
     _drawers[:] = [drawer]
 
 

@@ -48,7 +48,7 @@ _OWNERS: Mapping[str, int] = {
 
 
 class DrawnLook(NamedTuple):
-    """How a filter is drawn."""
+    """Color and line style of a filter."""
 
     color: Color  # its tone on dark ground
     dashed: bool  # another one of the same picture has the color

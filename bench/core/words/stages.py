@@ -10,7 +10,7 @@ FLYING = "flying"
 
 @dataclass(frozen=True, slots=True)
 class Stage:
-    """What a call is doing; ``str(stage)`` is a line to show.
+    """Activity and progress of a call; ``str(stage)`` is a line to show.
 
     Attributes
     ----------
@@ -58,7 +58,7 @@ class Stages:
 
     @property
     def flies(self) -> bool:
-        """Whether a flight is being simulated."""
+        """Return whether a flight is being simulated."""
         return self._now.words == FLYING
 
     def begin(self, words: str, total: float | None = None) -> None:

@@ -1,4 +1,4 @@
-"""What may be the cause of an inconsistent run, and the sensors without it.
+"""Possible causes of an inconsistent run, and sensors without each of them.
 
 Candidates are the faults, the errors of the sensors on board for which a filter has no state, as it names
 them, and figures that it assumes otherwise than they are. To take one away changes the sensors on board and

@@ -50,7 +50,7 @@ class SearchStep:
 
 @dataclass(frozen=True, slots=True)
 class Causes:
-    """What a search has found."""
+    """Result of a search for causes."""
 
     steps: tuple[SearchStep, ...]
     left: str | None  # block whose covariance is still broken without all that is named

@@ -39,7 +39,7 @@ class BlockNees:
 
     @property
     def inside(self) -> bool:
-        """Whether the mean lies in its band."""
+        """Return whether the mean lies in its band."""
         return self.low <= self.mean <= self.high
 
 

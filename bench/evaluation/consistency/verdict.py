@@ -56,7 +56,7 @@ class _Judgment(NamedTuple):
 
 
 def is_outside(name: str, values: Mapping[str, Any]) -> bool:
-    """Tell whether a metric lies outside its bounds in one run; False if it has none."""
+    """Return whether a metric lies outside its bounds in one run; False if it has none."""
     value, bounds = values.get(name), find_bounds(name, values)
     if value is None or bounds is None:
         return False

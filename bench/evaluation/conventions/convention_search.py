@@ -184,7 +184,7 @@ def search(
 
 
 def is_alike(best: Mistake, one: Mistake) -> bool:
-    """Tell whether the blocks that one of two conventions changes fit as well without the other."""
+    """Return whether the blocks that one of two conventions changes fit as well without the other."""
     blocks = [name for name in best.left if name in {*best.convention.blocks, *one.convention.blocks}]
     least, found = (sum(mistake.left[name].mean for name in blocks) for mistake in (best, one))
     return found <= least + max(_ALIKE * least, _SURE / max(best.after.samples, 1.0))

@@ -58,7 +58,7 @@ class Consistency:
 
     @property
     def rejected(self) -> bool:
-        """Whether a test fails: the covariance is not exactly that of the errors."""
+        """Return whether a test fails: the covariance is not exactly that of the errors."""
         return bool(self.reasons)
 
     @property

@@ -1,4 +1,4 @@
-"""Which of two is better on the same runs, whether it matters, and how many more runs would tell.
+"""Paired comparison of two filters: which one is better, by how much, and how many more runs decide.
 
 Draw k of both has the same noise, so that what both have in common is in no interval. What is compared is
 the ratio of root mean squares. A pair that is looked at several times while runs are added, or one of

@@ -108,13 +108,13 @@ def claimed_blocks(solution: NavSolution) -> tuple[str, ...]:
 
 
 def _claims(solution: NavSolution, rows: slice) -> bool:
-    """Tell whether the covariance has any number on its diagonal in some rows."""
+    """Return whether the covariance has any number on its diagonal in some rows."""
     first = np.einsum("kii->ki", solution.cov[:1])
     return _has_number(first[:, rows]) or _has_number(variances(solution)[:, rows])
 
 
 def _has_number(values: FloatArray) -> bool:
-    """Tell whether any value (M, ...) is not NaN; most have one in the first row."""
+    """Return whether any value (M, ...) is not NaN; most have one in the first row."""
     return not (np.isnan(values[:1]).all() and np.isnan(values).all())
 
 

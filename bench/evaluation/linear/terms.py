@@ -76,7 +76,7 @@ class ErrorProcess:
 
     @property
     def states(self) -> bool:
-        """Whether it has states, not only white noise."""
+        """Return whether it has states, not only white noise."""
         return bool(self.variance.any() or self.density.any() or self.kick.any())
 
 

@@ -1,4 +1,4 @@
-"""How many of the requested epochs a solution answers, and the error that is counted at the others.
+"""Fraction of the requested epochs with a solution, and the error counted at the others.
 
 Each block that it estimates (position, velocity, attitude) counts at every time from its first answer on.
 A silent time is charged the last answer, carried on by its own velocity: a filter that is silent where it
@@ -42,7 +42,7 @@ class Coverage:
 
     @property
     def enough(self) -> bool:
-        """Whether every block answers all but a few."""
+        """Return whether every block answers all but a few."""
         return self.share >= ENOUGH
 
     @property

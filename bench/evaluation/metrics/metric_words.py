@@ -1,4 +1,4 @@
-"""What a metric is called where people read it: in words, with its unit, under a heading.
+"""Names of metrics for people: in words, with the unit, under a heading.
 
 Its name stays the identifier in files. A metric that has no words here is called by the first line of its
 function, so that a new metric needs none.
@@ -107,7 +107,7 @@ _SHARES = (
 
 
 class MetricWords(NamedTuple):
-    """How people read a metric."""
+    """Words, unit and heading of a metric."""
 
     group: str
     words: str

@@ -76,7 +76,7 @@ class Metric(NamedTuple):
 
     @property
     def words(self) -> str:
-        """What the metric is, in a line."""
+        """Return what the metric is, in a line."""
         return str(getattr(self.function, "func", self.function).__doc__ or "").partition("\n")[0]
 
 

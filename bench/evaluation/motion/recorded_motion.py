@@ -84,7 +84,7 @@ class RecordedMotion:
 
     @property
     def moves(self) -> bool:
-        """Whether the vehicle moves at all, by its velocities or, without them, by its positions."""
+        """Return whether the vehicle moves at all, by its velocities or, without them, by its positions."""
         vel_n = self.take_velocities()[2]
         if len(vel_n) < _NEAR:
             return False

@@ -1,1 +1,1 @@
-"""What is required of a navigator, and whether it is kept."""
+"""Requirements on a navigator, and their check."""

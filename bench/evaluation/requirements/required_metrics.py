@@ -1,4 +1,4 @@
-"""What is required of a filter, and whether one run, or many, keep it.
+"""Requirements on a filter, checked on one run or many.
 
 A requirement is a row ``[[requirement]]`` of a profile or a log, as its document has it. One run keeps it if
 its metric does; a run that did not converge, or has no such metric, does not. Of many runs a ``share`` has
@@ -30,7 +30,7 @@ Values = Mapping[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """Whether a filter keeps a requirement."""
+    """Result of one requirement for one filter."""
 
     label: str
     metric: str
@@ -47,7 +47,7 @@ class Looks:
 
     @property
     def numbers(self) -> list[int]:
-        """How many runs there are at each look."""
+        """Return how many runs there are at each look."""
         found = [self.first]
         while found[-1] < self.most:
             found.append(min(2 * found[-1], self.most))
@@ -66,7 +66,7 @@ def count_meeting_runs(share: float) -> int:
 
 
 def is_metric(name: str) -> bool:
-    """Tell whether a requirement may name a metric so; :data:`EVERY` stands for a number."""
+    """Return whether a requirement may name a metric so; :data:`EVERY` stands for a number."""
     return find_metric(name.replace(EVERY, "1")) is not None
 
 

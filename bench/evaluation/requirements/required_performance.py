@@ -22,7 +22,7 @@ _SURE = 0.95  # probability of each bound
 
 @dataclass(frozen=True, slots=True)
 class Watched:
-    """What R runs of M epochs, at equal intervals, did and stated."""
+    """Errors and reported levels of R runs of M epochs, at equal intervals."""
 
     interval: float  # [s]
     error: FloatArray  # (R, M) size of the position error [m]; NaN: no solution
@@ -32,17 +32,17 @@ class Watched:
 
     @property
     def alert(self) -> BoolArray:
-        """Where the pilot is warned not to rely on the position: an alarm, or a level beyond the limit."""
+        """Epochs at which the pilot is warned: an alarm, or a level beyond the limit."""
         return np.asarray(self.alarm | ~(self.level <= self.limit))
 
     @property
     def misleading(self) -> BoolArray:
-        """Where the error is larger than the level and no alarm tells."""
+        """Return where the error is larger than the level and no alarm tells."""
         return np.asarray(~self.alarm & ~(self.error <= self.level))
 
     @property
     def hazardous(self) -> BoolArray:
-        """Where it is, and beyond the alert limit that the level is within."""
+        """Return where it is, and beyond the alert limit that the level is within."""
         return np.asarray(self.misleading & ~self.alert & ~(self.error <= self.limit))
 
 

@@ -1,4 +1,4 @@
-"""What is measured: the runs of a profile, or the segments of a recording."""
+"""Measured units of a baseline: the runs of a profile, or the segments of a recording."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ STRETCHES = 20
 
 @dataclass(frozen=True, slots=True)
 class EstimatorDraw:
-    """What a filter achieved in one run."""
+    """Values of a filter in one run."""
 
     converged: bool
     reason: str  # why it did not converge
@@ -142,7 +142,7 @@ class FlightDraws:
             self.truth_digest = digest_record(truth)
 
     def measure(self, draw: int) -> Draw:
-        """Sense, navigate and judge one run."""
+        """Sense, navigate and evaluate one run."""
         try:
             closed = self.profile.guidance is not None  # then each run flies its own
             truth = None if closed else get_truth(self._truth_key, self.profile)

@@ -217,7 +217,7 @@ def _open(
 
 
 def has_cpu(baseline: Baseline) -> bool:
-    """Tell whether a baseline holds CPU times."""
+    """Return whether a baseline holds CPU times."""
     return any(CPU in values.metrics for values in baseline.estimators.values())
 
 

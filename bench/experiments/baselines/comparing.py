@@ -43,7 +43,7 @@ _MANY = 1_000_000  # epochs: the share of a campaign's run is compared as it is
 
 @dataclass(frozen=True)
 class Side:
-    """What one of the folders holds."""
+    """Content of one of the compared folders."""
 
     name: str
     draws: Mapping[str, Baseline]  # by profile

@@ -51,7 +51,7 @@ class _JournalRow(BaseModel):
 
 
 class _Estimated(_JournalRow):
-    """What a filter achieved in a run (`worker.measure`)."""
+    """Values of a filter in a run (`worker.measure`)."""
 
     metrics: Annotated[dict[str, float | int | bool | str | list[Any] | dict[str, Any] | None],
                        AfterValidator(_sound_metrics)]  # fmt: skip

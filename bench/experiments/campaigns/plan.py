@@ -1,4 +1,4 @@
-"""What a campaign runs: every run with its profile in full, its key, and the command that repeats it."""
+"""Plan of a campaign: every run with its profile in full, its key, and the command that repeats it."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _MOST_NAMED = 200  # files that wrappers name
 
 @dataclass(frozen=True)
 class Condition:
-    """What statistics are about: a profile with some values replaced."""
+    """Condition of statistics: a profile with some values replaced."""
 
     source: str  # the profile, as it was named
     values: Values  # that distinguish it from the other conditions

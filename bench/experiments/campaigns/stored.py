@@ -104,7 +104,7 @@ class _StoredCondition(_StoredPart):
 
 
 class _StoredSummary(_StoredPart):
-    """What `campaign.json` holds, as far as it is read."""
+    """Part of `campaign.json` that is read."""
 
     planned: NonNegativeInt
     finished: NonNegativeInt

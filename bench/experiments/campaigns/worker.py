@@ -1,4 +1,4 @@
-"""What a worker does: one run, and what is kept of it."""
+"""One run of a campaign in a worker, and the values kept."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the best linear causal filter achieves on a flight of the suite: the bound for the errors."""
+"""Error bound of the best linear causal filter on a flight of the suite."""
 
 from __future__ import annotations
 

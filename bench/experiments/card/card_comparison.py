@@ -102,7 +102,7 @@ def list_differences(first: Card, second: Card) -> list[str]:
 
 
 def are_same(one: Line, other: Line) -> bool:
-    """Tell whether every run has the same value, but for the processor."""
+    """Return whether every run has the same value, but for the processor."""
     a, b = (np.array(line.by_draw or (line.value,), float) for line in (one, other))  # None: NaN
     return a.shape == b.shape and bool(np.isclose(a, b, rtol=SAME, atol=0.0, equal_nan=True).all())
 

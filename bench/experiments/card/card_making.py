@@ -62,7 +62,7 @@ class LostDraw(Table):
 
 
 class Card(Table):
-    """What a filter achieves in the suite; equal inputs give equal lines."""
+    """Scores of a filter on the suite; equal inputs give equal lines."""
 
     format: int = FORMAT
     estimator: str
@@ -144,7 +144,7 @@ class Card(Table):
 
     @property
     def good(self) -> bool:
-        """Whether every run converged, it is proven not to look ahead, and what is required is met."""
+        """Return whether every run converged, it is proven not to look ahead, and what is required is met."""
         return (
             not self.lost
             and all(line.value in (0.0, None) for line in self.lines if line.topic == "causality")
@@ -154,7 +154,7 @@ class Card(Table):
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """Whether it keeps what is required, by flight."""
+        """Return whether it keeps what is required, by flight."""
         return tuple(
             Finding(f"{line.flight}: {self.estimator}", line.figure, line.word, line.sentence)
             for line in self.lines

@@ -21,7 +21,7 @@ from bench.core.files.installed import (
 
 
 class StudyEntry(NamedTuple):
-    """Where a study is, and what it asks."""
+    """Module of a study, and its question."""
 
     module: str
     question: str

@@ -50,7 +50,7 @@ _PARTS = 4  # of the runs of a filter, so that all workers have something to do
 
 
 class Options(UnitOptions):
-    """What may be asked."""
+    """Options of the study."""
 
     estimators: Words | None = None
     """filters to compare with the bound; default: all of the profile"""

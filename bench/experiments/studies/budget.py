@@ -53,7 +53,7 @@ _ALL, _OTHERS = "all sources", "all others"
 
 
 class Options(UnitOptions):
-    """What may be asked."""
+    """Options of the study."""
 
     estimator: str | None = None
     """loosely coupled filter: label of the profile, or built-in name; default: the first of the profile"""

@@ -1,4 +1,4 @@
-"""What the studies by linear covariance share: a profile and its flight, runs of it, figures of errors."""
+"""Common parts of the studies by linear covariance: profile, flight, runs, error metrics."""
 
 from __future__ import annotations
 

@@ -50,7 +50,7 @@ _SMALLEST = 1e-3  # misses below this are alike [m]
 
 
 class Options(UnitOptions):
-    """What may be asked."""
+    """Options of the study."""
 
     profiles: Words
     """shipped profiles with ``[guidance]``, or .toml files of your own, separated by commas"""
@@ -72,7 +72,7 @@ class _FlownTask:
 
 @dataclass(frozen=True, slots=True)
 class FlownByFilter:
-    """What came of one flight."""
+    """Result of one flight."""
 
     miss: float  # horizontal, infinite after a crash [m]
     crashed: bool

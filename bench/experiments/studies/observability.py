@@ -47,7 +47,7 @@ _FIGURES = (  # column -> states of `FIGURES`, SI over unit
 
 
 class Options(UnitOptions):
-    """What may be asked."""
+    """Options of the study."""
 
     profiles: Words = ("s-turns",)
     """names of shipped profiles, or .toml files of your own, separated by commas"""

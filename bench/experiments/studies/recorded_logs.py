@@ -43,7 +43,7 @@ _LEAST = 3  # logs that tell how much ratios scatter
 
 
 class Options(StudyOptions):
-    """What may be asked."""
+    """Options of the study."""
 
     logs: Words
     estimators: Words | None = None

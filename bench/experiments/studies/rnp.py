@@ -86,7 +86,7 @@ _Probability = Annotated[float, Field(gt=0, lt=1)]
 
 
 class Options(UnitOptions):
-    """What may be asked."""
+    """Options of the study."""
 
     profiles: Words
     """shipped profiles, or .toml files of your own; legs ``waypoints`` and ``approach`` have tracks"""

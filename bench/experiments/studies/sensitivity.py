@@ -45,7 +45,7 @@ _FACTORS = (0.25, 0.5, 1.0, 2.0, 4.0)
 
 
 class Options(UnitOptions):
-    """What may be asked."""
+    """Options of the study."""
 
     key: str
     values: Words | None = None

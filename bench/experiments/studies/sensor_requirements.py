@@ -71,7 +71,7 @@ ERRORS: Mapping[str, _Error] = {
 
 
 class Options(StudyOptions):
-    """What may be asked."""
+    """Options of the study."""
 
     error_m: Positive = 5.0
     """allowed position error, 1 sigma per axis [m]"""

@@ -1,4 +1,4 @@
-"""What all studies share: options, findings and workers."""
+"""Common parts of all studies: options, findings and workers."""
 
 from __future__ import annotations
 

@@ -36,7 +36,7 @@ _CONFIDENCE = 0.95
 
 @dataclass(frozen=True)
 class FoundFactor:
-    """Where a mean cost is least."""
+    """Minimum of a mean cost."""
 
     x: FloatArray  # (n,) logarithms of the factors
     low: FloatArray  # (n,) ends of the 95 % intervals; infinite: none is told; NaN: not searched

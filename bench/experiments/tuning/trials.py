@@ -1,4 +1,4 @@
-"""What a filter is tuned on: runs of a profile, or a recorded log."""
+"""Data for tuning: runs of a profile, or a recorded log."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ _LOST = 1e6  # cost of a run without finite errors or covariances
 
 @dataclass(frozen=True)
 class HeldOutScore:
-    """How a filter does on data that were not used for tuning, with 95 % intervals."""
+    """Scores of a filter on data that were not used for tuning, with 95 % intervals."""
 
     rmse_h_m: Estimate
     nees_ratio: Estimate  # mean NEES over its expectation; 1 is right

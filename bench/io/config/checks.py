@@ -141,7 +141,7 @@ _EXTERNAL = "'module:Class', 'file:SOLUTION', 'command:PROGRAM ...'"  # other fo
 
 
 def is_autopilot(use: str) -> bool:
-    """Tell whether a name is that of an autopilot's own estimate: ``autopilot``, ``autopilot:INSTANCE``."""
+    """Return whether a name is that of an autopilot's own estimate: ``autopilot``, ``autopilot:INSTANCE``."""
     return use.partition(":")[0] == AUTOPILOT
 
 

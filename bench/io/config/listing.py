@@ -1,4 +1,4 @@
-"""What there is to select by name: profiles, aircraft, legs, sensors, estimators."""
+"""Lists of everything selected by name: profiles, aircraft, legs, sensors, estimators."""
 
 from __future__ import annotations
 

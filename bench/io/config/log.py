@@ -55,7 +55,7 @@ class SourceSpec:
 
 @dataclass(frozen=True, slots=True)
 class ReferenceSpec:
-    """Where the reference of a log is, and how its unit is mounted."""
+    """File of the reference of a log, and the mounting of its sensor."""
 
     source: SourceSpec
     point_b: tuple[float, float, float]  # relative to the IMU [m], b
@@ -65,7 +65,7 @@ class ReferenceSpec:
 
 @dataclass(frozen=True, slots=True)
 class StartSpec:
-    """What the filters know of the initial state."""
+    """Initial state given to the filters."""
 
     alignment: str  # "given", "level", "hover" or "course"
     at: float  # earliest start, since the first row of the IMU [s]

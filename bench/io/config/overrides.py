@@ -105,7 +105,7 @@ def _locate(key: str, value: Any, beside: Path) -> Any:
 
 
 def sets_estimator(overrides: Mapping[str, Any], number: int) -> bool:
-    """Tell whether overrides say what an entry of [[estimator]] is; its path is then the user's own."""
+    """Return whether overrides say what an entry of [[estimator]] is; its path is then the user's own."""
     return any(key in overrides for key in ("estimator", f"estimator.{number}", f"estimator.{number}.use"))
 
 

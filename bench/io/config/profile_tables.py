@@ -190,7 +190,7 @@ class InitialErrorSdTable(Table):
 
 
 class AlignmentTable(Table):
-    """What the filters know of the initial state; they find the rest by alignment.
+    """Initial state given to the filters; they find the rest by alignment.
 
     ``given``: all of it. ``level``: the position at standstill. ``course``: nothing.
     """
@@ -342,7 +342,7 @@ class ScriptTable(_ExternalTable):
 
 
 class TrackTable(Table):
-    """What a track of positions does not tell: it becomes a smooth motion of a vehicle."""
+    """Assumptions by which a track of positions becomes a smooth motion of a vehicle."""
 
     vehicle: Literal["aircraft", "ground"] = "aircraft"
     """Motion: an aircraft flies coordinated turns; a ground vehicle keeps its wheels level and points along

@@ -1,4 +1,4 @@
-"""What all datasheets share: where the figures are from, and checks of them."""
+"""Common keys of all datasheets: source, assumed parameters, and their checks."""
 
 from __future__ import annotations
 

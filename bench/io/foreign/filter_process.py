@@ -101,7 +101,7 @@ class FilterProcess:
 
     @property
     def usable(self) -> bool:
-        """Whether it can be asked: it lives, owes no answer, and its files are as they were."""
+        """Return whether it can be asked: it lives, owes no answer, and its files are as they were."""
         return self._close.alive and not self.waiting and self._child.poll() is None and self._is_current()
 
     @property
@@ -271,7 +271,7 @@ class FilterProcess:
             self.printed.add(block)
 
     def _tell_end(self) -> NoReturn:
-        """Say how the process has ended by itself."""
+        """Return how the process has ended by itself."""
         with contextlib.suppress(subprocess.TimeoutExpired):
             self._child.wait(PATIENCE)
         self._drain(_BLOCKS)

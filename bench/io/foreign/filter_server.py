@@ -1,4 +1,4 @@
-"""What runs in the process of a filter: it builds the filter, hands it sensors and start, sends its answers.
+"""Process of a filter: builds the filter, passes sensors and initial state, sends solutions.
 
 `bench.io.foreign.filter_process` starts it and asks. Nothing of the truth, and nothing of the process that
 asks, is in this one.

@@ -1,4 +1,4 @@
-"""Where a filter runs: the one place that decides between here and a process of its own."""
+"""Choice of the process of a filter: this one, or one of its own."""
 
 from __future__ import annotations
 

@@ -60,7 +60,7 @@ class OwnProcessEstimator:
 
     @property
     def printed(self) -> str:
-        """What it has printed since it was built."""
+        """Return what it has printed since it was built."""
         return self._printed.text
 
     def wait(self) -> Self:

@@ -110,7 +110,7 @@ class _RecordLayout:
 
 
 class _RowColumn(NamedTuple):
-    """What a row of a record has in one column."""
+    """One column of a row of a record."""
 
     name: str
     kind: type

@@ -26,7 +26,7 @@ UBX, RINEX, NMEA = "a u-blox UBX recording", "a RINEX file", "a file of NMEA 018
 
 
 class FileKind(NamedTuple):
-    """What a file is, and what its owner can do with it."""
+    """Name of a kind of file, and advice for its owner."""
 
     name: str
     advice: str

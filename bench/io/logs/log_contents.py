@@ -1,4 +1,4 @@
-"""What the log of an autopilot holds and knows: sensors, lever arms, day, truth, its own estimate."""
+"""Content of an autopilot's log: sensors, lever arms, day, truth, its own estimate."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _GPS_EPOCH = datetime.date(1980, 1, 6)
 
 @dataclass(frozen=True, slots=True)
 class Contents:
-    """What a log holds."""
+    """Content of a log."""
 
     sensors: tuple[str, ...]  # "imu", "gnss" and instruments that have rows
     imu: Vector | None = None  # by its parameters: forward, right, down from the origin of the vehicle [m]
@@ -33,7 +33,7 @@ class Contents:
 
 @dataclass(frozen=True, slots=True)
 class OwnMotion:
-    """What a log says of the motion itself: a truth, or the estimate of its autopilot.
+    """Motion in a log: a truth, or the estimate of its autopilot.
 
     Position and attitude have times of their own [s], on the clock of the file; what is not known is NaN.
     """

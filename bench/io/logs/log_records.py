@@ -160,7 +160,7 @@ def _add(t: FloatArray, offset: float) -> FloatArray:
 
 
 def _is_navego(source: SourceSpec, kind: str) -> bool:
-    """Tell whether a table is a structure with the fields of NaveGo, and the log names no columns."""
+    """Return whether a table is a structure with the fields of NaveGo, and the log names no columns."""
     if source.path.suffix.lower() != ".mat" or source.format != "table" or source.columns:
         return False
     name = source.topic or kind

@@ -86,7 +86,7 @@ def _ask(form: str, path: Path, what: str, function: str, kind: type[_Answer], *
 
 
 class AutopilotEstimator:
-    """What the autopilot estimated in flight, at the epochs asked for.
+    """Estimate of the autopilot in flight, at the requested epochs.
 
     Parameters
     ----------

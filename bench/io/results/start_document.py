@@ -1,4 +1,4 @@
-"""What a filter gets besides the measurements: initial state, antenna, assumed datasheets."""
+"""Input of a filter besides the measurements: initial state, antenna, assumed datasheets."""
 
 from __future__ import annotations
 

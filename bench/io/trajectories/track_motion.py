@@ -290,7 +290,7 @@ def _report(
     shown: str,
     jump: str,
 ) -> None:
-    """Say what was changed and the extremes; reject what no vehicle does."""
+    """Return what was changed and the extremes; reject what no vehicle does."""
     rms = [math.sqrt(float((fit.left**2).sum(axis=1).mean())) for fit in (level, height)]
     told = ["told" if given is not None else "estimated" for given in (spec.noise, spec.vertical_noise)]
     notes.append(

@@ -34,7 +34,7 @@ Refused = dict[int, tuple[float, float, int]]
 
 
 class Trust(NamedTuple):
-    """What a gate remembers of each channel: a sensor's part that is tested by itself.
+    """Memory of the gate for each channel, a part of a sensor that is tested by itself.
 
     Channels 0 and 1 are position and velocity of a fix.
     """

@@ -1,4 +1,4 @@
-"""What waits for its step: measurements, the slots of those measured and not yet used, IMU samples."""
+"""Buffers of measurements and IMU samples that wait for their step."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a filter must offer to run in pieces, as `bench.navigation.open_filters.PieceFilter` asks it."""
+"""Interface of a filter that runs in pieces, for `bench.navigation.open_filters.PieceFilter`."""
 
 from __future__ import annotations
 

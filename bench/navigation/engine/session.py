@@ -301,7 +301,7 @@ def _number(hint: Any, found: Any, like: Any, place: str) -> Any:
 
 
 def _holds_parts(hint: Any) -> bool:
-    """Tell whether a type is one with a state of its own, or a container of such."""
+    """Return whether a type is one with a state of its own, or a container of such."""
     if hasattr(hint, "restore"):
         return True
     return any(_holds_parts(one) for one in get_args(hint) if not isinstance(one, str))

@@ -213,7 +213,7 @@ def imu_rows(imu: ImuData, start: float, spec: ImuSpec) -> tuple[IntArray, Float
 
 
 class ImuIntake(SessionState):
-    """What has been taken of an IMU record that comes in pieces, after a ``start`` [s]."""
+    """IMU samples received so far of a record that comes in pieces, after a ``start`` [s]."""
 
     newest: Kept[float]  # of the rows in use [s]
     before: Kept[float]  # of the sound rows after the start, the one before the next [s]

@@ -1,4 +1,4 @@
-"""What each aiding instrument gives a filter: one row a sensor.
+"""Measurement models of the aiding instruments: one row a sensor.
 
 A row says which record and datasheet belong to the sensor, and which rows of `measurement_rows` it fills and
 how. Its errors are those that the figures of its datasheet describe. A new instrument is a row here and its

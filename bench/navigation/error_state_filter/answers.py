@@ -1,4 +1,4 @@
-"""What a run stored at the epochs that were asked for, as a solution."""
+"""Solution from the values that a run stored at the requested epochs."""
 
 from __future__ import annotations
 

@@ -84,7 +84,7 @@ class StateLayout:
             object.__setattr__(self, name, value)
 
     def has(self, name: str) -> bool:
-        """Tell whether the layout has a block of this name."""
+        """Return whether the layout has a block of this name."""
         return name in self._places
 
     def slice(self, name: str) -> slice:

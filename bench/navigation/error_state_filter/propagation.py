@@ -88,7 +88,7 @@ class Measurements(NamedTuple):
 
 
 class Site(NamedTuple):
-    """What measurements are compared with, and where their rows of H go."""
+    """State that measurements are compared with, and the place of their rows of H."""
 
     now: FilterState
     data: Measurements
@@ -111,7 +111,7 @@ class UpdateWork(NamedTuple):
 
 
 class Carried(NamedTuple):
-    """What the next step needs of the steps before; also the first three of `MeasureWork`."""
+    """Data that the next step needs from earlier steps; also the first three of `MeasureWork`."""
 
     whole: FloatArray  # (66 + D,) memory of all of it
     kept: FloatArray  # (66 + D,) a copy, while a filter goes ahead for an answer

@@ -24,7 +24,7 @@ _VEL_SD = 1.0  # a velocity known worse than this tells nothing of standing [m/s
 
 @inner
 def _stands_kernel(state: FloatArray, P: FloatArray) -> bool:
-    """Tell whether the horizontal velocity may be zero."""
+    """Return whether the horizontal velocity may be zero."""
     variance = P[3, 3] + P[4, 4]
     speed2 = state[3] * state[3] + state[4] * state[4]
     return bool(variance < _VEL_SD**2 and speed2 < _SIGMAS**2 * variance)

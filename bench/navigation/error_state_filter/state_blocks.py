@@ -80,7 +80,7 @@ class Index(NamedTuple):
 
 
 class Process(NamedTuple):
-    """How n states move between measurements; columns as in :class:`States`."""
+    """Propagation of n states between measurements; columns as in :class:`States`."""
 
     q: FloatArray  # (n,) density
     decay_time: FloatArray  # (n,)

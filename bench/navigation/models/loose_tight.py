@@ -78,7 +78,7 @@ _LINEAR_DRIFT = float(np.deg2rad(2.0)) / 3600.0  # gyro bias whose free drift is
 
 
 class Fusion:
-    """What loose and tight coupling share: options, records, the run.
+    """Common part of loose and tight coupling: options, records, the run.
 
     The bias states are random walks with ``P0 = turn_on_sd^2 + instability_sd^2`` and
     ``q = 2 instability_sd^2 / correlation``; for a unit without turn-on bias they are Gauss-Markov processes

@@ -100,7 +100,7 @@ class Smoother:
 
     @property
     def needs(self) -> tuple[str, ...]:
-        """What its forward run needs."""
+        """Return what its forward run needs."""
         return self.filter.needs
 
     def unmodeled_errors(self, specs: AssumedSpecs) -> tuple[str, ...]:

@@ -258,7 +258,7 @@ class SigmaPointFlight(SteppedFilter):
 
     @property
     def lost(self) -> bool:
-        """Whether there is no estimate any more: a diverged filter gives NaN from here on."""
+        """Return whether there is no estimate any more: a diverged filter gives NaN from here on."""
         return not np.isfinite(self.P).all()
 
     def predict(self, dt: FloatArray, dtheta: FloatArray, dvel: FloatArray, unknown: FloatArray) -> None:

@@ -85,7 +85,7 @@ class Coast(SessionState):
 
     @property
     def _options(self) -> GnssOnlyOptions:
-        """How it manoeuvres."""
+        """Return how it manoeuvres."""
         return _VIOLENT if self._beyond else GnssOnlyOptions()
 
     def go_beyond(self) -> None:

@@ -64,7 +64,7 @@ Begin = Callable[[SensorData, InitialState, list[EventRow]], InPieces]
 
 
 def heading_is_unknown(initial: InitialState) -> bool:
-    """Tell whether the heading is too uncertain for one linear filter."""
+    """Return whether the heading is too uncertain for one linear filter."""
     return bool(initial.cov[8, 8] > LINEAR**2)
 
 

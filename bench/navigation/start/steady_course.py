@@ -40,7 +40,7 @@ STANDS = 0.5  # least part of the time in which the gyros show a standstill of w
 
 
 class Gyros(NamedTuple):
-    """What a filter knows of its gyros beyond their datasheet."""
+    """Knowledge of the gyros beyond their datasheet."""
 
     sd: float | None = None  # how well their errors are known at the start as a whole [rad/s]
     steady: bool = False  # they lose the heading, and a steady course keeps it
@@ -57,7 +57,7 @@ def gyro_error_sd(spec: ImuSpec, initial: InitialState) -> float:
 
 
 def has_large_bias(sensors: SensorData) -> bool:
-    """Tell whether gyros lose the heading within ten minutes, and fixes show the course."""
+    """Return whether gyros lose the heading within ten minutes, and fixes show the course."""
     return bool(sensors.specs.imu.gyro.turn_on_bias_sd >= LARGE and sensors.fixes is not None)
 
 

@@ -172,7 +172,7 @@ def _after(record: SensorData, t: float) -> SensorData:
 
 
 def may_be_learnt(first: SensorData, initial: InitialState) -> bool:
-    """Tell whether a turn-on bias is large enough and the attitude at the start is given, not aligned."""
+    """Return whether a turn-on bias is large enough and the attitude at the start is given, not aligned."""
     large = first.specs.imu.gyro.turn_on_bias_sd >= LARGE
     given = initial.alignment == "given" and not initial.bias_cov.any()
     return bool(large and given and first.fixes is not None)

@@ -119,7 +119,7 @@ def _join(local: Data, attitude: Data | None, undulation: float, place: Data | N
 
 
 def has_estimate(log: ULog) -> bool:
-    """Tell whether the autopilot estimated a position on Earth."""
+    """Return whether the autopilot estimated a position on Earth."""
     local = find(log, "vehicle_local_position")
     return local is not None and bool(np.isfinite(_join(local, None, 0.0).lla).any())
 

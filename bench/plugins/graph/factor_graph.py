@@ -143,7 +143,7 @@ class GraphSmoother:
 
 
 class Link(NamedTuple):
-    """What the IMU measured between two nodes."""
+    """IMU measurements between two nodes."""
 
     dt: FloatArray  # (K,)
     dtheta: FloatArray  # (K, 3)

@@ -76,7 +76,7 @@ class ClientSession(ABC):
     @property
     @abstractmethod
     def inside(self) -> bool:
-        """Whether a message has begun to come and not ended."""
+        """Return whether a message has begun to come and not ended."""
 
     def wait(self, say: Callable[[str], object]) -> None:
         """Wait for a client that begins as it should; others are told why not.

@@ -63,7 +63,7 @@ class FlightFrame(NamedTuple):
 
     @property
     def valid(self) -> bool:
-        """Whether its last byte is 1."""
+        """Return whether its last byte is 1."""
         return self.payload[-1:] == b"\x01"
 
 
@@ -75,7 +75,7 @@ class FrameReader:
 
     @property
     def inside(self) -> bool:
-        """Whether a frame has begun and not ended."""
+        """Return whether a frame has begun and not ended."""
         return bool(self._held)
 
     def take(self, data: bytes) -> Iterator[FlightFrame]:

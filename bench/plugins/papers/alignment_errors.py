@@ -51,7 +51,7 @@ _TURN = np.array([0.05, -0.02, 0.1])  # rates along which their error is integra
 
 
 class Options(StudyOptions):
-    """What may be asked."""
+    """Options of the study."""
 
     heading_deg: Positive = 0.1
     """error of the heading alignment [deg]"""

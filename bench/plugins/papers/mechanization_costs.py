@@ -39,7 +39,7 @@ _LOST = 0.1  # tilt at which level is lost [rad]
 
 
 class Options(StudyOptions):
-    """What may be asked."""
+    """Options of the study."""
 
     duration_s: Annotated[int, Field(ge=12, le=3600, multiple_of=12)] = 300
     """length of the flight [s], a multiple of 12"""
@@ -58,7 +58,7 @@ class Options(StudyOptions):
 
 
 class AlgorithmCosts(NamedTuple):
-    """How an algorithm did."""
+    """Cost of an algorithm."""
 
     motion: IntervalMotion
     position_m: float

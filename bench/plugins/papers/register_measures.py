@@ -38,7 +38,7 @@ class Bounded(NamedTuple):
 
     @property
     def holds(self) -> bool:
-        """Whether it does; NaN does not."""
+        """Return whether it does; NaN does not."""
         return self.low <= self.value <= self.high
 
 
@@ -53,14 +53,14 @@ def near(value: float, wanted: float, within: float) -> Bounded:
 
 
 class RowFinding(NamedTuple):
-    """What the bench finds for a row."""
+    """Finding of bench for a row."""
 
     ours: str
     checks: tuple[Bounded, ...]
 
     @property
     def holds(self) -> bool:
-        """Whether every number is what it must be."""
+        """Return whether every number is what it must be."""
         return all(one.holds for one in self.checks)
 
 

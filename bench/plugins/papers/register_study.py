@@ -23,7 +23,7 @@ _PARTS = (  # last row, name, title: tables that a terminal shows whole
 
 
 class Options(StudyOptions):
-    """What may be asked."""
+    """Options of the study."""
 
     row: Annotated[int, Field(ge=0, le=len(ROWS))] = 0
     """a row alone; 0 for all"""

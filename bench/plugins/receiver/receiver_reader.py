@@ -1,4 +1,4 @@
-"""What the core asks of the files of a receiver: `bench.io.fix_readers` says what these functions do."""
+"""Functions on receiver files for the core, as `bench.io.fix_readers` describes them."""
 
 from __future__ import annotations
 

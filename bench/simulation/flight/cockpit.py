@@ -1,4 +1,4 @@
-"""What the legs read from the model and write to its guidance system, in SI."""
+"""Values that legs read from the model and write to its guidance system, in SI."""
 
 from __future__ import annotations
 
@@ -148,7 +148,7 @@ class Cockpit:
         return self._speed_fps() * FT
 
     def on_wheels(self) -> bool:
-        """Whether a wheel touches the ground."""
+        """Return whether a wheel touches the ground."""
         return self._wheels() > 0
 
     def wind_speed(self) -> float:
@@ -228,7 +228,7 @@ class Cockpit:
         return self.speed_wanted if self._plan is None else max(self.speed_wanted, self._plan[1])
 
     def speed_settled(self) -> bool:
-        """Whether no airspeed change is on its way."""
+        """Return whether no airspeed change is on its way."""
         return self._plan is None
 
     def wait_until(self, reached: Callable[[], bool], patience: float, what: str) -> Steps:

@@ -56,7 +56,7 @@ def read_xml(path: Path, shown: str) -> ElementTree.Element:
 
 
 class _ElementBuilder(ElementTree.TreeBuilder):
-    """What makes elements of an XML file, as long as they are not too many or too deep."""
+    """Builder of XML elements with limits on number and depth."""
 
     def __init__(self, shown: str) -> None:
         super().__init__()
@@ -119,7 +119,7 @@ def copy_aircraft(name: str, folder: Path, target: Path) -> ElementTree.Element:
 
 @dataclass(frozen=True, slots=True)
 class ScriptFacts:
-    """What a script says of itself."""
+    """Facts that a script contains."""
 
     aircraft: str
     length: float  # from its start to its end [s]
@@ -204,7 +204,7 @@ def system_files(model: Path) -> set[str]:
 
 
 def _speaks(element: ElementTree.Element) -> bool:
-    """Say whether an element of a script prints, or sets a property of an output that is left out."""
+    """Return whether an element of a script prints, or sets a property of an output that is left out."""
     sets = element.get("name", "") if element.tag == "set" else (element.text or "")
     return element.tag == "notify" or (
         element.tag in ("set", "property") and sets.strip().startswith("simulation/output")

@@ -149,7 +149,7 @@ def record_script(
 
 
 def _tell(parts: Iterable[_Part], say: Say, doing: str) -> Iterator[_Part]:
-    """Say what is being done before each part of it."""
+    """Return what is being done before each part of it."""
     say(doing)
     for part in parts:
         say(doing)

@@ -33,7 +33,7 @@ _LEAST = 1.0  # shorter than this nothing can be navigated [s]
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What an aircraft of a class can do; the rates are assumed, about twice what such aircraft fly."""
+    """Limits of an aircraft class; the rates are assumed, about twice the usual ones."""
 
     load_low: float  # load factors of the design [g]
     load_high: float
@@ -116,7 +116,7 @@ def report_sanity(stretches: Iterable[Stretch], category: str) -> Iterator[Stret
 
 
 class _Report:
-    """What is beyond the class of an aircraft, collected from the segments of its flight."""
+    """Motions beyond the class of an aircraft, collected from the segments of its flight."""
 
     def __init__(self, category: str) -> None:
         self._category, self._limits = category, LIMITS[category]

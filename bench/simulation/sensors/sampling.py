@@ -1,4 +1,4 @@
-"""What the aiding instruments share: epochs, drawn errors, noise, resolution, times of arrival."""
+"""Common model of aiding instruments: epochs, errors, noise, resolution, times of arrival."""
 
 from __future__ import annotations
 

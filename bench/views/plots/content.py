@@ -1,4 +1,4 @@
-"""What of a run there is to plot, and what a tab of plots is."""
+"""Data of a run that can be plotted, and the tabs of plots."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def carrier(solutions: Mapping[str, NavSolution], *, in_space: bool = True) -> C
 
 @dataclass(frozen=True, slots=True)
 class Content:
-    """What of a run there is to plot."""
+    """Data of a run that can be plotted."""
 
     motion: Motion
     sensed: Sensed
@@ -94,7 +94,7 @@ class Content:
 
     @property
     def looks(self) -> dict[str, DrawnLook]:
-        """How each filter is drawn."""
+        """Return how each filter is drawn."""
         return choose_looks(self.solutions)
 
     @property

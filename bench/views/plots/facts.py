@@ -1,4 +1,4 @@
-"""What was flown, and with which sensors, in words: for the report and the recording."""
+"""Description of flight and sensors in words, for report and recording."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a recording says in words: the summary, the log of events, and which leg was flown when."""
+"""Texts of a recording: the summary, the log of events, and the legs with their times."""
 
 from __future__ import annotations
 

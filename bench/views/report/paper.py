@@ -238,7 +238,7 @@ def _draw(plots: Sequence[Plot], shades: Sequence[Shade], width_mm: float, serif
 
 
 class _Legend(NamedTuple):
-    """Where the names of a plot stand: beside its title, or in rows of their own below it."""
+    """Placement of the names of a plot: beside its title, or in rows below it."""
 
     columns: int  # 0: without a legend
     rows: int  # 0: beside the title

@@ -33,7 +33,7 @@ Window = tuple[float, float]
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """Where values lie in a picture: an area in steps, and the values at its edges."""
+    """Mapping of values to a picture: an area in steps, and the values at its edges."""
 
     x: Window  # values at the left and the right edge
     y: Window  # values at the lower and the upper edge

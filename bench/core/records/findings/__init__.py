@@ -1,4 +1,4 @@
-"""What a question has found: sentences, tables and figures, and the result that a study makes of them."""
+"""Findings of a study: sentences, tables and figures, and the result made of them."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def make_table(name: str, title: str, columns: Sequence[str], rows: Sequence[Seq
 
 @dataclass(frozen=True)
 class Findings:
-    """What a study found."""
+    """Findings of a study."""
 
     verdicts: tuple[str, ...]  # sentences
     tables: tuple[FindingTable, ...]
@@ -102,7 +102,7 @@ class StudyResult:
 
     @property
     def verdicts(self) -> tuple[str, ...]:
-        """What was found, in sentences."""
+        """Return what was found, in sentences."""
         return self.findings.verdicts
 
     @property

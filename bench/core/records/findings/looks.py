@@ -1,4 +1,4 @@
-"""How a verdict looks, on a terminal and on a page: one look for each word, whoever says it."""
+"""Look of a verdict on a terminal and on a page: one for each word."""
 
 from __future__ import annotations
 

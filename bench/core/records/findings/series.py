@@ -1,4 +1,4 @@
-"""What a plot is made of: lines, bands and dots in their colors, and the intervals shaded behind them."""
+"""Parts of a plot: lines, bands and dots in their colors, and shaded intervals."""
 
 from __future__ import annotations
 

@@ -62,7 +62,7 @@ PHASES = ("straight", "turn", "climb")
 
 
 class Options(FlightOptions):
-    """What may be asked."""
+    """Options of the study."""
 
     units: Words = ("grade-1", "grade-2", "grade-3", "stim300", "adis16475", "icm-42688-p")
     """IMUs of the catalog, or .toml files of your own"""

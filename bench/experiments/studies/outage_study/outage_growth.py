@@ -1,4 +1,4 @@
-"""How far the position drifts without GNSS over runs, and which unit drifts less on the same runs."""
+"""Position drift without GNSS over runs, and paired comparisons of IMUs on the same runs."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ from bench.experiments.studies.unit_study.unit_ranking import ClassStep, Ranking
 
 @dataclass(frozen=True)
 class Answer:
-    """What is found of all units on one flight by one filter."""
+    """Result of all IMUs on one flight with one filter."""
 
     profile: str
     label: str
@@ -33,7 +33,7 @@ class Answer:
 
     @property
     def missed(self) -> bool:
-        """Whether every unit misses what is required, or is not usable."""
+        """Return whether every unit misses what is required, or is not usable."""
         words = {one.verdict for one in self.ranking.flown.values()}
         return bool(self.required) and not words & {MET, UNDECIDED}
 

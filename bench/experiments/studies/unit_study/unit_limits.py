@@ -1,4 +1,4 @@
-"""What limits the accuracy with a unit on a flight: the IMU, the receiver, another sensor, or the filter.
+"""Limiting factor of an IMU on a flight: the IMU, the receiver, another sensor, or the filter.
 
 The error budget (`studies.budget`) divides the variance of the filter's error by the sensor that it
 comes from; the best linear filter (`studies.bound`) says what another filter could gain. Both are

@@ -45,7 +45,7 @@ class UnitFlown:
 
     @property
     def verdict(self) -> str:
-        """Whether it is usable, and keeps what is required."""
+        """Return whether it is usable, and keeps what is required."""
         if self.lost:
             return "not usable"
         words = {one.word for one in self.findings}
@@ -53,7 +53,7 @@ class UnitFlown:
 
     @property
     def loss(self) -> str:
-        """How many draws it lost, and of how many of all it loses."""
+        """Return how many draws it lost, and of how many of all it loses."""
         rate = estimate_rate(self.lost, len(self.values))
         ends = (format_number(100.0 * end, 2) for end in (rate.low, rate.high))
         return f"{self.unit} {self.lost} of {len(self.values)} ({' to '.join(ends)} % of all)"
@@ -70,7 +70,7 @@ class ClassStep:
 
     @property
     def pays(self) -> bool:
-        """Whether it is shown to be better than what is cheaper."""
+        """Return whether it is shown to be better than what is cheaper."""
         return self.gain is None or self.gain.word == "better"
 
 

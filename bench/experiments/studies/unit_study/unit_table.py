@@ -58,7 +58,7 @@ _FAR = 4  # a pair that needs more than so many times the most runs is left unde
 
 
 class Options(FlightOptions):
-    """What may be asked."""
+    """Options of the study."""
 
     units: Words = (
         *("hg9900", "ln-100", "hg1700", "hg4930-ca51", "ln-200", "stim300"),
@@ -220,7 +220,7 @@ class _Flights:
 
     @property
     def looks(self) -> Looks:
-        """How many runs there are whenever they are looked at, up to the most."""
+        """Return how many runs there are whenever they are looked at, up to the most."""
         most = self._options.max_runs
         if most is None:
             shares = [float(row["share"]) for label in self.labels for row in self.required(label)]

@@ -31,7 +31,7 @@ def _number(o: GnssObservations) -> IntArray:
 
 
 class Channels(SessionState):
-    """What each satellite has: channels of the gate for range and rate, and a state of its own.
+    """Data of each satellite: gate channels for range and rate, and a state of its own.
 
     The channels follow on those of the sensors, in the order in which satellites appear. The states of a
     constellation are few: one that rises gets that of the satellite which has been gone for the longest time,

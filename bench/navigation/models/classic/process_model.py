@@ -1,4 +1,4 @@
-"""How the 22 states move: datasheet figures (A-5.1.8, A-5.3), GNSS errors (A-5.2), Phi and G (A-5.4.2)."""
+"""Process model of the 22 states: datasheet (A-5.1.8, A-5.3), GNSS errors (A-5.2), Phi and G (A-5.4.2)."""
 
 from __future__ import annotations
 

@@ -43,7 +43,7 @@ _MESSAGES_4 = {"LNAV": "G", "FDMA": "R", "INAV": "E", "FNAV": "E", "D1": "C", "D
 
 
 class _Kind(NamedTuple):
-    """What the Keplerian records of a system are like."""
+    """Format of the Keplerian records of a system."""
 
     system: int
     name: str
@@ -95,7 +95,7 @@ class NavigationFile:
 
 @dataclass(slots=True)
 class _Found:
-    """What is read so far."""
+    """Content read so far."""
 
     kepler: dict[str, array[float]] = field(default_factory=dict)
     glonass: array[float] = field(default_factory=lambda: array("d"))

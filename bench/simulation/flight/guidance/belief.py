@@ -1,4 +1,4 @@
-"""What guidance and legs believe of the flight: the truth, or what a navigation filter says.
+"""State used by guidance and legs: the truth, or the estimate of a navigation filter.
 
 ``held``: truth plus the error of the last estimate, estimate minus truth at its validity. An ideal filter
 changes nothing. ``state``: the last estimate itself, as a box without extrapolation gives it, late and in

@@ -53,7 +53,7 @@ _STARTS = {  # of engines, and a clean aircraft; those that a model has are set
 
 @dataclass(frozen=True, slots=True)
 class GainDesign:
-    """What was found for an aircraft."""
+    """Gains found for an aircraft."""
 
     alt: float  # ellipsoidal [m]
     speed: float  # true airspeed [m/s]

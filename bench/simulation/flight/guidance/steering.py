@@ -1,4 +1,4 @@
-"""What somebody outside wants of the controls of a flight: attitude and throttle, or surfaces and throttle.
+"""Commands of an external program: attitude and throttle, or surfaces and throttle.
 
 A command acts from the tick on that follows its turn, 50 ms after the time that it answers. The loops of
 guidance smooth it: bank and pitch by the lags of their set-points, surfaces by 50 ms.

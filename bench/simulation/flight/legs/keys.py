@@ -1,4 +1,4 @@
-"""How a leg is declared: a field stands for a key of the profile, which its annotation holds.
+"""Declaration of a leg: a field for each key of the profile, which its annotation contains.
 
     bank: Annotated[float, Key("bank_deg", "bank of the turns", 1, 80, most="max_bank")]
 
@@ -53,12 +53,12 @@ class KeyedField(NamedTuple):
 
     @property
     def row(self) -> type[Any] | None:
-        """What an array holds."""
+        """Return what an array holds."""
         return get_args(self.type)[0] if get_origin(self.type) is tuple else None
 
     @property
     def choices(self) -> tuple[str, ...]:
-        """What a text may be."""
+        """Return what a text may be."""
         return get_args(self.type) if get_origin(self.type) is Literal else ()
 
 

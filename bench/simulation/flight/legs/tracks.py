@@ -217,7 +217,7 @@ class Survey(AtSpeed):
         return f"{strips} to the {self.side}, bank {format_deg(self.bank)}"
 
     def fly(self, cockpit: Cockpit) -> Steps:
-        """Where strips are closer than a turn is wide, the turn bulges out."""
+        """Return where strips are closer than a turn is wide, the turn bulges out."""
         plane = cockpit.plane_here()
         radius = turn_radius(cockpit, self.bank)
         path = _begin_path(plane, self.course)

@@ -1,4 +1,4 @@
-"""What the broadcast model of the ionosphere leaves, as a field over the shell that signals pierce.
+"""Residual error of the broadcast ionosphere model, as a field over the shell that signals pierce.
 
 Signals that pierce it near each other share it: its correlation is ``exp(-distance / decay)``, that of the
 covariance by which a receiver weighs its ranges, times ``exp(-dt / correlation time)``. It is a sum of waves.

@@ -1,4 +1,4 @@
-"""What filters have in common, a line for each in one plot."""
+"""Plots with one line for each filter."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How the flight went: motion, air, controls, and what the instruments measured of it."""
+"""Plots of the flight: motion, air, controls and instruments."""
 
 from __future__ import annotations
 
