@@ -1,4 +1,4 @@
-"""What the shell completes beside verbs and options: names of profiles, filters, sensors, topics and keys."""
+"""Shell completion of arguments: names of profiles, filters, sensors, topics and keys."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ from bench.navigation.forward_filters import FORWARD
 
 @dataclass(frozen=True)
 class Limit:
-    """What an option may be, checked and in words."""
+    """Allowed values of an option, as a check and in words."""
 
     allows: Callable[[Any], bool]
     words: str
@@ -118,7 +118,7 @@ class AidingOptions(FixOptions):
 
     @property
     def accuracy(self) -> FixAccuracy | None:
-        """How fixes are weighed; None if none are used."""
+        """Return how fixes are weighted; None if no fixes are used."""
         return self.fix_accuracy if self.gnss else None
 
 
@@ -188,7 +188,7 @@ class FusionOptions(IntegrityOptions, AidingOptions):
 
     @property
     def tight(self) -> bool:
-        """Whether GNSS is used by satellite."""
+        """Return whether GNSS is used by satellite."""
         return False
 
     @model_validator(mode="after")
@@ -224,7 +224,7 @@ class TightOptions(FusionOptions):
 
     @property
     def tight(self) -> bool:
-        """Whether GNSS is used by satellite."""
+        """Return whether GNSS is used by satellite."""
         return True
 
 
@@ -252,7 +252,7 @@ class SmootherOptions(FusionOptions):
 
     @property
     def tight(self) -> bool:
-        """Whether GNSS is used by satellite."""
+        """Return whether GNSS is used by satellite."""
         return self.over == "tight"
 
 
@@ -347,7 +347,7 @@ _T = TypeVar("_T")
 
 
 def _whole(options: _T, wrong: list[str]) -> _T:
-    """Return options whose fields are right one by one, or reject what does not hold between them."""
+    """Return valid options, or raise an error with the contradictions between their fields."""
     if wrong:
         raise PydanticCustomError("whole", "{words}", {"words": "; ".join(wrong)})
     return options
@@ -382,7 +382,7 @@ def _lines(model: type[Options], error: ValidationError, fixed: Mapping[str, Any
 
 
 def described(model: type[Options]) -> list[tuple[str, str, str]]:
-    """Return name, default and words of each option; a dash is the default of one that is left out."""
+    """Return name, default and description of each option; "-" is the default of an omitted option."""
     words = read_words(model)
     return [
         (name, "-" if field.default is None else as_toml(field.default), words[name])

@@ -1,4 +1,4 @@
-"""What people look at: plots, recordings and reports."""
+"""Output for people: plots, recordings and reports."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""What `bench new` writes: examples, aircraft and logs."""
+"""Commands of `bench new`, which write examples, aircraft and logs."""

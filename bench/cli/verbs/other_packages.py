@@ -1,4 +1,4 @@
-"""What installed packages add to bench, and what of it cannot be used."""
+"""Additions of installed packages to bench, and the reasons why some of them cannot be used."""
 
 from __future__ import annotations
 

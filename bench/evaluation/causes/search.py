@@ -50,7 +50,7 @@ class SearchStep:
 
 @dataclass(frozen=True, slots=True)
 class Causes:
-    """What a search has found."""
+    """Result of a search for causes."""
 
     steps: tuple[SearchStep, ...]
     left: str | None  # block whose covariance is still broken without all that is named
@@ -154,7 +154,7 @@ def _share(before: BlockNees, after: BlockNees) -> float:
 
 
 def describe_causes(causes: Causes, advice: str) -> str:
-    """Return the sentences that say why a run is not consistent."""
+    """Return the sentences that explain why a run is not consistent."""
     if not causes.steps:
         return (
             f"not found: no fault, and no error that it does not model, makes {100 * LEAST:.0f} % of the "

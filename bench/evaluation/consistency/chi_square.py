@@ -150,7 +150,7 @@ class MeanNis:
 
     @property
     def inside(self) -> bool:
-        """Whether the mean lies in its band; False if it is NaN."""
+        """Return whether the mean lies in its band; False if it is NaN."""
         return self.low <= self.mean <= self.high
 
 

@@ -87,14 +87,14 @@ class Headline(NamedTuple):
 
 
 def judge_look(word: str, values: Mapping[str, Any] | None = None) -> VerdictLook:
-    """Return the look of a verdict; a covariance that holds and is of no use is a warning."""
+    """Return the look of a verdict; a warning if the covariance is consistent but the errors are far off."""
     look = find_look(word)
     useless = look.kind == "good" and values is not None and find_far_off(values)
     return LOOKS[verdict.UNDERCONFIDENT] if useless else look
 
 
 def find_best(measured: Mapping[str, Mapping[str, Any]]) -> str:
-    """Return the label of the first filter whose covariance holds and is of use, or of the first of all."""
+    """Return the label of the first filter with a good verdict, else of the first filter."""
     looks = {label: judge_look(str(one.get("verdict", "")), one).kind for label, one in measured.items()}
     good = [label for label, kind in looks.items() if kind == "good"]
     return next(iter([*good, *looks]), "")

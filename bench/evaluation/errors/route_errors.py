@@ -1,4 +1,4 @@
-"""What an error of the heading alignment makes across track on a leg, and back (B-8), on the sphere."""
+"""Cross-track error on a leg due to the heading alignment, and its inverse (B-8), on the sphere."""
 
 from __future__ import annotations
 

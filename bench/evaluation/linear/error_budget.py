@@ -188,7 +188,7 @@ class SourceWalk:
 
 
 class ProcessSteps:
-    """How R processes move over a step, and how they enter a measurement."""
+    """Propagation of R processes over a step, and their effect on a measurement."""
 
     def __init__(self, processes: Sequence[ErrorProcess]) -> None:
         def stack(name: str) -> FloatArray:

@@ -1,7 +1,7 @@
-"""What a metric is called where people read it: in words, with its unit, under a heading.
+"""Labels of metrics on screens and pages: words, unit and heading.
 
-Its name stays the identifier in files. A metric that has no words here is called by the first line of its
-function, so that a new metric needs none.
+The name of a metric stays the identifier in files. A metric without an entry here is labeled by the first
+line of its function, so that a new metric needs no entry.
 """
 
 from __future__ import annotations
@@ -107,7 +107,7 @@ _SHARES = (
 
 
 class MetricWords(NamedTuple):
-    """How people read a metric."""
+    """Label of a metric, with its group, unit and factor."""
 
     group: str
     words: str

@@ -76,7 +76,7 @@ class Metric(NamedTuple):
 
     @property
     def words(self) -> str:
-        """What the metric is, in a line."""
+        """Return the description of the metric in one line."""
         return str(getattr(self.function, "func", self.function).__doc__ or "").partition("\n")[0]
 
 
@@ -169,7 +169,7 @@ def heading_right(case: Case) -> Value:
 
 
 def _settle(case: Case, below: BoolArray) -> Value:
-    """Return the time from which a condition (M,) holds to the end or an outage; None if there is none."""
+    """Return the time from which a condition (M,) holds up to the end or an outage; None if there is none."""
     starts = [int(np.searchsorted(case.t, start - SAME_INSTANT)) for _, start, _ in case.outages]
     edges = sorted({0, *starts, len(case.t)})
     for first, end in pairwise(edges):
@@ -368,9 +368,9 @@ def judge_epochs(
 ) -> dict[str, Any]:
     """Return the metrics of errors and a solution at the same epochs, as :func:`judge` does.
 
-    ``missing`` holds the epochs (K,) that were asked for and have no solution [s]; ``metrics`` are the rows
-    of :data:`METRICS` to compute. ``factored`` is that of :func:`check_convergence`. Metrics of accuracy are
-    of ``carried``, if it is given, and so hold silent epochs.
+    ``missing``: the requested epochs (K,) without a solution [s]. ``metrics``: the rows of :data:`METRICS` to
+    compute. ``factored``: as in :func:`check_convergence`. Metrics of accuracy are computed from ``carried``,
+    if given, and so include silent epochs.
     """
     aligned = slice(count_aligning_epochs(solution, evaluation.begin), None)
     errors, solution = select_epochs(errors, aligned), select_epochs(solution, aligned)

@@ -25,7 +25,7 @@ class Axes:
 
     @property
     def are_given(self) -> bool:
-        """Whether no axis is exchanged or reversed."""
+        """Return whether no axis is exchanged or reversed."""
         return bool((self.gyro / self.gyro_factor == np.eye(3)).all() and (self.accel == np.eye(3)).all())
 
     @property

@@ -68,7 +68,7 @@ class AllanResult:
 
     @property
     def held(self) -> bool:
-        """Whether at most one value in a hundred lies outside its band; always True for a log."""
+        """Return whether at most one value in a hundred lies outside its band; always True for a log."""
         return not self.simulated or self.outside <= max(1, self.points // 100)
 
 

@@ -1,1 +1,1 @@
-"""What is required of a navigator, and whether it is kept."""
+"""Requirements on a navigation filter, and whether they are met."""

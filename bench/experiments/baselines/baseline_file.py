@@ -35,7 +35,7 @@ Value = float | None
 
 
 class EstimatorValues(Table):
-    """What one filter achieved, by draw."""
+    """Metrics of one filter, by run."""
 
     epochs: Annotated[int, Field(ge=0)]  # evaluated in each run
     expected: dict[str, float]  # metric -> its value for a consistent filter

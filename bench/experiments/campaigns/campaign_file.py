@@ -47,7 +47,7 @@ class CampaignTable(Table):
 
 @dataclass(frozen=True)
 class CampaignSpec:
-    """What a campaign varies."""
+    """Profiles, runs, filters and varied values of a campaign."""
 
     name: str
     profiles: tuple[str, ...]

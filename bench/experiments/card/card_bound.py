@@ -1,4 +1,4 @@
-"""What the best linear causal filter achieves on a flight of the suite: the bound for the errors."""
+"""Errors of the best linear causal filter on a flight of the suite: the bound for the errors."""
 
 from __future__ import annotations
 

@@ -54,7 +54,7 @@ class Tuning:
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """What was found."""
+        """Return the results in sentences."""
         found = [self._describe_search()]
         found += [
             _describe_factor(name, factor, *self.intervals[name], told=self.converged)
@@ -105,7 +105,7 @@ class Tuning:
 
 @dataclass(frozen=True, slots=True)
 class TuningStage(Stage):
-    """How far a tuning is: ``done`` sets of factors were tried, ``total`` at most.
+    """Progress of a tuning: ``done`` sets of factors were tried, ``total`` at most.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Where a filter runs: the one place that decides between here and a process of its own."""
+"""Choice of the process of a filter: this process, or a process of its own; decided only here."""
 
 from __future__ import annotations
 

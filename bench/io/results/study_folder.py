@@ -61,7 +61,7 @@ class _StoredPlot(_Stored):
 
 
 class _StoredStudy(_Stored):
-    """What `study.json` holds."""
+    """Contents of `study.json`."""
 
     study: str
     question: str

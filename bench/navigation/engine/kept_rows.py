@@ -1,4 +1,4 @@
-"""What waits for its step: measurements, the slots of those measured and not yet used, IMU samples."""
+"""Data that wait for their step: measurements, the slots of measured but unused ones, IMU samples."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _WHOLE = ("epoch_start", "klobuchar", "gps_t0")  # not a column
 
 
 class Rows(NamedTuple):
-    """Measurements that wait, those of a kind in the order of their arrival."""
+    """Waiting measurements; measurements of a kind are in the order of their arrival."""
 
     kind: IntArray  # (M,)
     t: FloatArray  # (M,) validity [s]

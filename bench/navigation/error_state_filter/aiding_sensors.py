@@ -1,8 +1,8 @@
-"""What each aiding instrument gives a filter: one row a sensor.
+"""Measurements of each aiding sensor for a filter: one row a sensor.
 
-A row says which record and datasheet belong to the sensor, and which rows of `measurement_rows` it fills and
-how. Its errors are those that the figures of its datasheet describe. A new instrument is a row here and its
-kernel in `measurement_rows.ROWS`. Satellites alone come another way (`ranging`).
+A row names the record and datasheet of the sensor, and the rows of `measurement_rows` that it fills. Its
+errors are described by the parameters of its datasheet. A new sensor is a row here and its kernel in
+`measurement_rows.ROWS`. Only satellites are processed elsewhere (`ranging`).
 """
 
 from __future__ import annotations
@@ -233,7 +233,7 @@ AIDING = (FIXES, SATELLITES, AIRSPEED, MAGNETOMETER, RADAR, ODOMETER, HEADING, B
 
 
 def records_needed(aiding: Sequence[AidingSensor]) -> tuple[str, ...]:
-    """Return the records a filter cannot work without: GNSS, else the barometer, and those asked for."""
+    """Return the records a filter cannot work without: GNSS, else the barometer, and the requested ones."""
     usual = [sensor.record for sensor in aiding if not sensor.on_request]
     return (*usual[:1], *(sensor.record for sensor in aiding if sensor.on_request))
 

@@ -1,4 +1,4 @@
-"""What the antenna of a receiver sees: rows of H for its position and velocity, n.
+"""Rows of H for the position and velocity of the antenna of a receiver, n.
 
     position   dp - [C l x] phi + C dl
     velocity   dv - [C (w x l) x] phi + C [l x] db_g + C [w x] dl

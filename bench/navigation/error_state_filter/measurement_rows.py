@@ -266,7 +266,7 @@ def _vehicle_kernel(row: int, first: int, site: Site) -> int:
 
 @inner
 def _standstill_kernel(row: int, first: int, site: Site) -> int:
-    """Fill the rows of a standstill: zero velocity, and the mean rate of the gyros is that of the Earth."""
+    """Fill the rows of a standstill: zero velocity, and a mean gyro rate equal to the Earth rate."""
     now, data, _, pending, work = site
     state, C = now.state, work.C
     matrix_kernel(state, C)
@@ -349,5 +349,5 @@ def opened_states(code: int, layout: StateLayout) -> BoolArray:
 
 @inner
 def tells_heading_kernel(code: int) -> bool:
-    """Return whether a sensor tells the heading itself, not by a motion that may have another cause."""
+    """Return whether a sensor measures the heading directly, not by a motion that may have another cause."""
     return code in (MAGNETIC, HEADING)

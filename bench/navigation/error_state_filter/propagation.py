@@ -88,7 +88,7 @@ class Measurements(NamedTuple):
 
 
 class Site(NamedTuple):
-    """What measurements are compared with, and where their rows of H go."""
+    """Data that measurements are compared with, and the place of their rows of H."""
 
     now: FilterState
     data: Measurements
@@ -111,7 +111,7 @@ class UpdateWork(NamedTuple):
 
 
 class Carried(NamedTuple):
-    """What the next step needs of the steps before; also the first three of `MeasureWork`."""
+    """Memory that the next step needs from the steps before; also the first three of `MeasureWork`."""
 
     whole: FloatArray  # (66 + D,) memory of all of it
     kept: FloatArray  # (66 + D,) a copy, while a filter goes ahead for an answer
@@ -236,7 +236,7 @@ def clock_kernel(P: FloatArray, at: int, T: float) -> None:
 
 @inner
 def mean_force_kernel(T: float, newest: FloatArray, force_n: FloatArray) -> None:
-    """Take a mean force (3,) over T into that of the last `LATE`."""
+    """Update the mean force of the last `LATE` with a mean force (3,) over T."""
     share = 1.0 - np.exp(-T / LATE)
     if force_n[0] == 0.0 and force_n[1] == 0.0 and force_n[2] == 0.0:
         share = 1.0
@@ -289,7 +289,7 @@ def noise_kernel(
 def wait_kernel(
     T: float, pending: Pending, drives: IntArray, clock: int, work: StepWork, row: FloatArray
 ) -> None:
-    """Carry the rows that wait over the interval whose F, decay and factors ``work`` holds."""
+    """Carry the waiting rows over the interval with the F, decay and factors in ``work``."""
     width = pending.width
     transition_kernel(work.F, -T, work.back)
     for slot in range(pending.live.shape[0]):

@@ -39,7 +39,7 @@ from bench.navigation.options import FixAccuracy
 
 
 class StepPlan(NamedTuple):
-    """What a filter does next."""
+    """Plan of the next steps of a filter."""
 
     steps: Steps
     entries: IntArray  # (E, 5) as `filter_run` takes them

@@ -1,9 +1,8 @@
-"""The states of a filter in blocks; each block says once how its states are called, begin and move.
+"""The states of a filter in blocks; each block defines the names, initial values and motion of its states.
 
 A state beyond position, velocity, attitude and IMU biases is a :class:`Block` here and its column of H
-(`measurement_rows`, `ranging`), found by :class:`Index`. A state that adds to the
-errors of the IMU needs no column: ``drives`` says how it acts. All figures come from the datasheets that the
-filter assumes.
+(`measurement_rows`, `ranging`), found by :class:`Index`. A state that adds to the errors of the IMU needs no
+column: ``drives`` defines its effect. All parameters come from the assumed datasheets.
 """
 
 from __future__ import annotations
@@ -80,7 +79,7 @@ class Index(NamedTuple):
 
 
 class Process(NamedTuple):
-    """How n states move between measurements; columns as in :class:`States`."""
+    """Motion of n states between measurements; columns as in :class:`States`."""
 
     q: FloatArray  # (n,) density
     decay_time: FloatArray  # (n,)
@@ -186,7 +185,7 @@ def _correction_order(drive: tuple[int, int, int]) -> tuple[int, ...]:
 def _know_gyro_biases(
     P: FloatArray, drives: IntArray, sd: float, warmth: float, initial: InitialState
 ) -> None:
-    """Let P (n, n) say that biases, and all that adds to them in steady motion, are known to sd [rad/s]."""
+    """Set P (n, n) so that gyro biases, and all that adds to them in steady motion, have an sd [rad/s]."""
     f_b = rotation.rotate(rotation.conjugate(initial.q_nb), -earth.gravity_n(initial.lla[0], initial.lla[2]))
     L = steady_rows(drives, f_b, warmth, len(P))[:3]
     own = slice(GYRO, GYRO + 3)
@@ -367,7 +366,7 @@ def clock_of_fixes(sd: float) -> Block:
 
 
 def used_blocks(blocks: Iterable[Block], sensors: SensorData, used: Iterable[str]) -> list[Block]:
-    """Return the blocks some record of which is there and ``used``; one that needs none always is."""
+    """Return the blocks with a record that is present and ``used``, and the blocks that need no record."""
     records = {name for name in used if getattr(sensors, name) is not None}
     return [block for block in blocks if not block.records or records & set(block.records)]
 

@@ -40,7 +40,7 @@ STANDS = 0.5  # least part of the time in which the gyros show a standstill of w
 
 
 class Gyros(NamedTuple):
-    """What a filter knows of its gyros beyond their datasheet."""
+    """Knowledge of the gyros beyond their datasheet."""
 
     sd: float | None = None  # how well their errors are known at the start as a whole [rad/s]
     steady: bool = False  # they lose the heading, and a steady course keeps it

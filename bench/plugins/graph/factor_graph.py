@@ -143,7 +143,7 @@ class GraphSmoother:
 
 
 class Link(NamedTuple):
-    """What the IMU measured between two nodes."""
+    """IMU measurements between two nodes."""
 
     dt: FloatArray  # (K,)
     dtheta: FloatArray  # (K, 3)
@@ -163,7 +163,7 @@ class _Vector(NamedTuple):
 
 
 class _Biases:
-    """The processes of the biases, those of the accelerometers first, as in gtsam."""
+    """The processes of the biases, accelerometers first, as in gtsam."""
 
     def __init__(self, specs: AssumedSpecs) -> None:
         gyro, accel = core_states(specs, changing=False)[3:]

@@ -1,4 +1,4 @@
-"""Where a receiver really was, for evaluation its fixes: a known point, or a table of positions."""
+"""True position of a receiver, to evaluate its fixes: a known point, or a table of positions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the core asks of the files of a receiver: `bench.io.fix_readers` says what these functions do."""
+"""Interface of the core to receiver files: `bench.io.fix_readers` describes these functions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a flight was, in numbers."""
+"""Summary of a flight in numbers."""
 
 from __future__ import annotations
 

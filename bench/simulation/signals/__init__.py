@@ -1,1 +1,1 @@
-"""What the sky, the air and the noise of instruments do, known to sensors and filters alike."""
+"""Models of the sky, the air and the noise of sensors, shared by sensors and filters."""

@@ -1,4 +1,4 @@
-"""How a receiver turns ranges into fixes: what it uses and corrects, how large it takes the errors to be."""
+"""Processing of ranges to fixes in a receiver: ranges used, corrections, and assumed errors."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ _STRENGTH = 45.0  # C/N0 of the code noise in a budget [dB-Hz]
 
 @dataclass(frozen=True, slots=True)
 class Processing:
-    """How a receiver computes its fixes."""
+    """Settings with which a receiver computes its fixes."""
 
     systems: str = "all"  # as :func:`parse_systems` takes it
     ionosphere: Ionosphere = "klobuchar"

@@ -1,4 +1,4 @@
-"""What was flown, and with which sensors, in words: for the report and the recording."""
+"""Facts on the flight and its sensors, in words: for the report and the recording."""
 
 from __future__ import annotations
 

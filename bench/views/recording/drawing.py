@@ -1,4 +1,4 @@
-"""How a plot is sent to a recording: its lines and dots, thinned, and hatches for what is shaded."""
+"""Conversion of a plot to a recording: lines and dots, thinned, and hatches for shaded intervals."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is said of a file that cannot be read: its package is missing, or it is damaged."""
+"""Messages for a file that cannot be read: its package is missing, or it is damaged."""
 
 from __future__ import annotations
 

@@ -57,7 +57,7 @@ def ellipsoid(lat: float, h: float) -> Earth:
 
 @dataclass(frozen=True, slots=True)
 class Nav:
-    """What the inertial navigator knows."""
+    """State of the inertial navigator."""
 
     lat: float  # [rad]
     lon: float  # [rad]

@@ -1,6 +1,6 @@
-"""Where a flight was off the path that its legs wanted: of waypoints, and of a runway.
+"""Deviation of a flight from the path that its legs wanted: of waypoints, and of a runway.
 
-Of a runway the path is the extended centerline, from the turn onto it on, and the glide path below the height
+The path of a runway is the extended centerline, from the turn onto it on, and the glide path below the height
 at which the approach began. Legs by heading, bank or surface have no path.
 """
 

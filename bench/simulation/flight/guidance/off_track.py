@@ -1,4 +1,4 @@
-"""How far a flight was from the tracks between its waypoints: the flight technical error."""
+"""Distance of a flight from the tracks between its waypoints: the flight technical error."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How the flight went: motion, air, controls, and what the instruments measured of it."""
+"""Flight data: motion, air, controls, and their measurements by the sensors."""
 
 from __future__ import annotations
 
