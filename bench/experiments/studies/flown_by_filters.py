@@ -72,7 +72,7 @@ class _FlownTask:
 
 @dataclass(frozen=True, slots=True)
 class FlownByFilter:
-    """What came of one flight."""
+    """Result of one flight."""
 
     miss: float  # horizontal, infinite after a crash [m]
     crashed: bool

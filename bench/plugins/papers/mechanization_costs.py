@@ -58,7 +58,7 @@ class Options(StudyOptions):
 
 
 class AlgorithmCosts(NamedTuple):
-    """How an algorithm did."""
+    """Errors and processor time of an algorithm."""
 
     motion: IntervalMotion
     position_m: float

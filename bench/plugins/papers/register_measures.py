@@ -38,7 +38,7 @@ class Bounded(NamedTuple):
 
     @property
     def holds(self) -> bool:
-        """Whether it does; NaN does not."""
+        """Return whether the value lies within its bounds; False for NaN."""
         return self.low <= self.value <= self.high
 
 
@@ -48,19 +48,19 @@ def below(value: float, most: float) -> Bounded:
 
 
 def near(value: float, wanted: float, within: float) -> Bounded:
-    """Return that a number is the one that is wanted, within so much."""
+    """Return bounds around a wanted value, within a tolerance."""
     return Bounded(value, wanted - within, wanted + within)
 
 
 class RowFinding(NamedTuple):
-    """What the bench finds for a row."""
+    """Finding of bench for a row."""
 
     ours: str
     checks: tuple[Bounded, ...]
 
     @property
     def holds(self) -> bool:
-        """Whether every number is what it must be."""
+        """Return whether every value lies within its bounds."""
         return all(one.holds for one in self.checks)
 
 

@@ -27,7 +27,7 @@ FRAMES: dict[str, type[Triad]] = {
 
 
 class Rates(NamedTuple):
-    """How often each task of the three-rate mechanization runs (A-2.2.6 to A-2.2.14); None: every sample."""
+    """Rates of the tasks of the three-rate mechanization (A-2.2.6 to A-2.2.14); None: every sample."""
 
     fast: float | None = None
     """Attitude [Hz]."""
