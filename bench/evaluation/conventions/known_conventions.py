@@ -165,7 +165,7 @@ def _by_arm(motion: TrueMotion) -> FloatArray:
 
 
 def tell_arm(antenna_b: FloatArray, c: FloatArray) -> str:
-    """Describe a point (3,) [m], b, with the motion that was reported instead of the motion of the IMU."""
+    """Describe the point (3,) [m], b, with its motion reported in place of the motion of the IMU."""
     far = np.linalg.norm(antenna_b)
     whose = "the antenna" if np.linalg.norm(c - antenna_b) < 0.3 * far else "a point"
     return f"the motion of {whose} {c[0]:.2f}, {c[1]:.2f}, {c[2]:.2f} m (forward, right, down) from the IMU"

@@ -73,7 +73,7 @@ def explain_rows(names: Sequence[str]) -> list[str]:
 
 
 def list_key_figures(measured: Measured) -> list[str]:
-    """Return the names of the metrics to show, in order."""
+    """Return the names of the metrics to show, in order; bounds are shown beside their metrics."""
     names = dict.fromkeys(name for values in measured.values() for name in values)
     found = [
         name

@@ -181,7 +181,7 @@ def record_baselines(
 
 
 def _name_sources(given: Sequence[str], baselines: Mapping[str, Baseline]) -> dict[str, str]:
-    """Return profiles and logs by name, a bare name as the source of its baseline."""
+    """Return profiles and logs by name, a bare name as its baseline source; ConfigError if names clash."""
     named: dict[str, str] = {}
     for source in given:
         name = get_name(source)

@@ -267,7 +267,7 @@ class Campaign:
 
     @property
     def requirements(self) -> tuple[Finding, ...]:
-        """Return whether the runs meet the requirements, for each condition and filter."""
+        """Return the verdicts on the requirements, for each condition and filter."""
         if not any("requirement" in condition["as_flown"] for condition in self.conditions):
             return ()
         every, found = self.runs.to_pylist(), list[Finding]()

@@ -196,7 +196,7 @@ def _count_lost(pairs: list[_Pair]) -> tuple[int, int]:
 
 
 def _tell_lost(names: tuple[str, str], one: Line, change: Change, lost: tuple[int, int]) -> ComparedLine:
-    """Return the line for a filter that is better in common runs but diverged in runs the other kept."""
+    """Return the line for a filter better in common runs only: its worst runs may have diverged."""
     k = int(change.estimate > 0.0)
     text = (
         f"{names[k]} is better in the runs that both have, but lost {lost[k]} that {names[1 - k]} kept: "

@@ -144,7 +144,7 @@ class Card(Table):
 
     @property
     def good(self) -> bool:
-        """Return whether all runs converged, no look-ahead was found, and all requirements are met."""
+        """Return whether runs converged and are causal, none beats the bound, and requirements are met."""
         return (
             not self.lost
             and all(line.value in (0.0, None) for line in self.lines if line.topic == "causality")

@@ -167,7 +167,7 @@ def step_to_valley(tried: Tried, x: FloatArray) -> tuple[FloatArray, FloatArray]
 
 
 def walk(tried: Tried, x: FloatArray, path: FloatArray, k: int, edge: float) -> float:
-    """Return the logarithm of factor k at which the slope differs from zero; infinite if nowhere.
+    """Return the logarithm of factor k at which the t value of the slope passes ``edge``, or infinity.
 
     Slopes are differences between points on the path and apply at their middles; between two middles
     Student's t is interpolated linearly.

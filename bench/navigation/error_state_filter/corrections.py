@@ -116,7 +116,7 @@ def correct_kernel(
 
 @inner
 def newest_kernel(last: FloatArray, noise: float, motion: FloatArray) -> bool:
-    """Fill a motion (2, 3) with the newest sample; leave out a rate that may be noise, and return whether.
+    """Fill a motion (2, 3) with the newest sample; leave out a rate that may be noise, and return if so.
 
     Its noise is also in the velocity of the antenna. A row with this noise would attribute it to each state
     that it multiplies (scale factors, heading, the lever arm), at every fix in the same direction.

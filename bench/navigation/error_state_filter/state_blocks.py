@@ -185,7 +185,7 @@ def _correction_order(drive: tuple[int, int, int]) -> tuple[int, ...]:
 def _know_gyro_biases(
     P: FloatArray, drives: IntArray, sd: float, warmth: float, initial: InitialState
 ) -> None:
-    """Set P (n, n) so that gyro biases, and all that adds to them in steady motion, have an sd [rad/s]."""
+    """Set P (n, n) for gyro biases, with all that adds to them in steady motion, known to sd [rad/s]."""
     f_b = rotation.rotate(rotation.conjugate(initial.q_nb), -earth.gravity_n(initial.lla[0], initial.lla[2]))
     L = steady_rows(drives, f_b, warmth, len(P))[:3]
     own = slice(GYRO, GYRO + 3)

@@ -80,11 +80,11 @@ _LINEAR_DRIFT = float(np.deg2rad(2.0)) / 3600.0  # gyro bias whose free drift is
 class Fusion:
     """Common parts of loose and tight coupling: options, records, the run.
 
-    The bias states are random walks with ``P0 = turn_on_sd^2 + instability_sd^2`` and ``q = 2
-    instability_sd^2 / correlation``; for an IMU without turn-on bias they are Gauss-Markov processes with a
-    mean that decays too. Q, R and P0 come from the assumed specs (`state_blocks`): R is the white variance of
-    the GNSS datasheet with Markov states, and the white and Markov variance together, taken as white,
-    without.
+    The bias states are random walks with ``P0 = turn_on_sd^2 + instability_sd^2`` and
+    ``q = 2 instability_sd^2 / correlation``; for an IMU without turn-on bias they are Gauss-Markov processes
+    with a mean that decays too. Q, R and P0 come from the assumed specs (`state_blocks`): R is the white
+    variance of the GNSS datasheet with Markov states, and the white and Markov variance together, taken as
+    white, without.
 
     Options: `bench.navigation.options.FusionOptions`; ``bench list estimators`` shows them.
     """

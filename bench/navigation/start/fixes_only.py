@@ -42,7 +42,7 @@ class End(NamedTuple):
 
 
 def lost_at(t: float, end: End) -> End:
-    """Return the end of a filter that has diverged at a time [s]: all but the attitude and its sd is NaN."""
+    """Return the end of a filter diverged at a time [s]: no position or velocity, and a wide attitude sd."""
     none, cov = np.full(3, np.nan), np.full((9, 9), np.nan)
     cov[6:, 6:] = np.diag(np.square([_TILT_SD, _TILT_SD, UNKNOWN_HEADING_SD]))
     return end._replace(t=t, lla=none, vel_n=none, cov=cov)

@@ -266,7 +266,7 @@ def find_turn_on(sensors: SensorData, initial: InitialState, until: float = math
 
 
 def find_turning(sensors: SensorData, initial: InitialState, until: float, near: FloatArray) -> TurnOn | None:
-    """Return the bias by a start in a turn (:func:`turning_start.find_bias`); None if not improved."""
+    """Return the bias by a start in a turn (:func:`turning_start.find_bias`); None if not usable."""
     if sensors.fixes is None or not may_be_learnt(sensors, initial):
         return None
     before = gyro_error_sd(sensors.specs.imu, initial)

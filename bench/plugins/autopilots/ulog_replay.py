@@ -241,7 +241,7 @@ def _late(out: ExportData) -> float:
 
 
 def _describe_fixes(out: ExportData) -> tuple[np.ndarray[Any, Any], dict[str, Any]]:
-    """Return the times of fixes [us] and their values, in the fields of all firmware versions."""
+    """Return the validity times of fixes [us] and their values, in the fields of all firmware versions."""
     fixes = out.select_fixes()
     stamps = _stamp(fixes.t)
     lat, lon, h = fixes.lla.T
