@@ -1,4 +1,4 @@
-"""Shell completion of names: profiles, filters, sensors, topics and keys."""
+"""Shell completion of arguments: names of profiles, filters, sensors, topics and keys."""
 
 from __future__ import annotations
 

@@ -117,7 +117,7 @@ def fly(profile: str, **options: Any) -> int:
 
 
 class _Shelf(click.Choice[str]):
-    """A word that `bench list` knows; of the name of a thing it says where that is listed."""
+    """Choice of a shelf of `bench list`; the error for the name of a catalog entry names its shelf."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         if value not in self.choices:

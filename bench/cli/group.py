@@ -1,4 +1,4 @@
-"""Common parts of the verbs: their group, common options, the console."""
+"""The command group, options and console that all verbs share."""
 
 from __future__ import annotations
 
@@ -207,7 +207,7 @@ def _print_version(context: click.Context, _: click.Parameter, asked: bool) -> N
 
 
 class _Verbs(click.Group):
-    """The verbs of this room, of the plug-ins and of other packages; the last are imported when asked for."""
+    """Group of the verbs of bench, plug-ins and other packages; the last two are imported when used."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Return the names of the verbs of bench."""
@@ -292,7 +292,7 @@ def end_run(metrics: Mapping[str, Mapping[str, Any]], *, strict: bool = False) -
 
 
 def end_flight(result: RunResult, *, strict: bool = False) -> int:
-    """Do the same of a flight; one that crashed has status 1 at least."""
+    """Print the end of a flight and return its exit status, at least `NEGATIVE` if the aircraft crashed."""
     return max(end_run(result.metrics, strict=strict), NEGATIVE if result.events.select("crash") else DONE)
 
 

@@ -28,7 +28,7 @@ _OF_FLIGHTS = {"profiles": "--profiles", "units": "--units", "overrides": "--set
 
 
 class _Studies(click.Group):
-    """Makes the command of a study when it is asked for."""
+    """Group of the studies; makes the command of a study when it is used."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Return the names of all studies."""
@@ -66,7 +66,7 @@ def study() -> None:
 
 
 def _make_command(name: str, question: str, module: Any) -> click.Command:
-    """Return the command of a study: its arguments and flags, and those of all studies."""
+    """Return the command of a study, with its own arguments and flags and the flags common to all studies."""
 
     def run(as_json: bool, **given: Any) -> int:
         from bench.cli.verbs.study_verb import run_study

@@ -37,7 +37,7 @@ class Orbits(NamedTuple):
 
 
 class RecordedRanges(NamedTuple):
-    """Fixes and noise from the ranges of a receiver, on the clock of a log [s]."""
+    """Ranges of a receiver and what follows from them, on the clock of a log [s]."""
 
     fixes: LogRows
     observations: GnssObservations | None  # if the datasheet that is assumed has a [sky]
@@ -46,7 +46,7 @@ class RecordedRanges(NamedTuple):
 
 
 def ask_reader(path: Path, what: str, kind: type[_Answer], *given: object) -> _Answer:
-    """Return what a function of the reader of a file gives; one of another package if that of bench is none.
+    """Return the result of a function of the reader for a file, from another package if bench has no reader.
 
     Raises
     ------

@@ -49,7 +49,7 @@ FORMATS: Mapping[str, LogFormat] = {
 
 
 def list_names() -> list[str]:
-    """Return the names of all formats, those of other packages last; nothing of these is imported."""
+    """Return the names of all formats, formats of other packages last, without importing a package."""
     return [*FORMATS, *find_installed("logs", FORMATS)]
 
 
@@ -82,9 +82,9 @@ def _ask(one: Installed) -> LogFormat:
 
 
 def guess_format(path: Path) -> str | None:
-    """Return the format of a file by its ending or its content; None if nothing tells it.
+    """Return the format of a file by its ending or its content; None if neither identifies it.
 
-    Other packages are asked, and imported, only where no format of bench has this ending.
+    Formats of other packages are imported and tried only if no format of bench has this ending.
     """
     ending = path.suffix.lower()
     if own := next((name for name, one in FORMATS.items() if ending in one.endings), None):

@@ -27,11 +27,11 @@ _LONGEST = 200  # characters of an error in a message
 
 
 def check_solution(found: object) -> NavSolution:
-    """Return an answer as a `NavSolution` whose covariances are symmetric.
+    """Return an answer as a `NavSolution` with symmetric covariances.
 
-    NaN, infinite values and infinite variances stay: what is not estimated is NaN, and a filter that diverges
-    is a result. The same bits come back, but for covariances whose two triangles differ by more than rounding
-    does: both get the mean.
+    NaN, infinite values and infinite variances stay: a state that is not estimated is NaN, and a diverged
+    filter is a result. All bits are returned unchanged, except for covariances with two triangles that differ
+    by more than rounding: both get the mean.
 
     Raises
     ------
@@ -64,7 +64,7 @@ def check_solution(found: object) -> NavSolution:
 
 
 def _rebuild(kind: type[_Kind], place: str, given: Any, **changed: Any) -> _Kind:
-    """Return a record made again from the fields of one, whose columns and names are checked."""
+    """Return a record made again from the fields of a record, with columns and names checked."""
     try:
         values = {one.name: getattr(given, one.name) for one in fields(kind)} | changed
         for name in _list_texts(kind):
@@ -84,7 +84,7 @@ def _rebuild(kind: type[_Kind], place: str, given: Any, **changed: Any) -> _Kind
 
 
 def _list_texts(kind: type[Record]) -> Iterator[str]:
-    """Yield the names of the fields of a record that hold words."""
+    """Yield the names of the fields of a record that contain words."""
     declared = columns_of(kind)
     for one in fields(kind):
         if declared[one.name].kind is str if one.name in declared else one.type == "tuple[str, ...]":

@@ -25,7 +25,7 @@ _WHOLE = 0.9  # of the time before a time: a filter that uses so much uses the w
 
 @dataclass(frozen=True, slots=True)
 class LookAhead:
-    """Result of the look-ahead test of a filter."""
+    """Time by which a filter looks ahead."""
 
     seconds: float  # the longest that was found [s]; 0: none
     whole: bool  # as far as to the begin of the record
@@ -33,7 +33,7 @@ class LookAhead:
 
     @property
     def text(self) -> str:
-        """It in words."""
+        """Return the result in words."""
         if not self.repeatable:
             return "not repeatable: two runs of one record differ"
         if self.seconds == 0.0:

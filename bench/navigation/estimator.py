@@ -213,7 +213,7 @@ def accept(name: str, found: object) -> NavSolution:
 
 
 def list_unmodeled(estimator: Estimator, name: str, specs: AssumedSpecs) -> list[str] | None:
-    """Return the sensor errors for which a filter says that it has no state; None if it says nothing.
+    """Return the sensor errors that a filter reports as unmodeled; None if it does not report them.
 
     Raises
     ------

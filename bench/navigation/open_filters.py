@@ -246,7 +246,7 @@ class PieceFilter(SessionState):
         return self._accept(self.passage.update(piece, self.look_back, last=last))
 
     def _accept(self, found: NavSolution) -> NavSolution:
-        """Return an answer; that of a class of others is checked."""
+        """Return an answer, checked if the filter is a foreign class."""
         return accept(self.use, found) if ":" in self.use else found
 
     def _begin(self, record: SensorData, last: bool) -> InPieces | None:

@@ -63,7 +63,7 @@ def run(
     progress: Progress | None = None,
     show: ShowFlight | None = None,
 ) -> RunResult:
-    """Fly, sense, run every filter of the profile, and evaluate.
+    """Fly, sense, navigate with every filter of the profile, and evaluate.
 
     A filter that raises, or cannot start where others can, has failed: its metrics say why, and the
     others go on.
@@ -171,7 +171,7 @@ def _hold(
     worked: Mapping[str, estimator.Estimator],
     judged: Mapping[str, Judged],
 ) -> dict[str, Any]:
-    """Return the errors of each filter over those of the best linear one."""
+    """Return the ratios of the errors of each filter to the errors of the best linear filter."""
     from bench.evaluation.linear import held
 
     errors = {label: judged[label].errors for label in worked}

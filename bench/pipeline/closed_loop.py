@@ -1,8 +1,8 @@
-"""The navigation filter flies: a flight whose guidance reads an estimate, and what the estimate was.
+"""Closed loop of navigation and guidance: a flight by an estimate, and the estimate that flew it.
 
-The flight gives its truth piece by piece. Of each the sensors measure it, the filter takes what has arrived,
-and its answer becomes what guidance uses (`guidance.belief`). Sensors and filter are those that a
-recorded flight has: `replay` gives the same answers from the truth that was flown, bit for bit.
+The flight gives its truth piece by piece. The sensors measure each piece, the filter processes the arrived
+data, and guidance uses its answer (`guidance.belief`). Sensors and filter are the same as in a recorded
+flight: `replay` gives the same answers from the truth that was flown, bit for bit.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ Watch = Callable[[Trajectory], object] | None
 
 @dataclass(frozen=True, slots=True)
 class ClosedFlight:
-    """Result of a flight that an estimate steered."""
+    """Result of a flight by an estimate."""
 
     truth: Trajectory
     answers: NavSolution  # that steered, in real time: by what had arrived
@@ -90,14 +90,14 @@ class Deliveries:
 
 
 class Navigator(Protocol):
-    """Source of the estimate that steers: a filter on board, or a connected client."""
+    """Source of the estimate that flies the aircraft: a filter on board, or a connected client."""
 
     def answer(self, data: SensorData, initial: InitialState, end: float) -> NavSolution:
         """Take what has arrived until a time [s] and return the answer at it."""
         ...
 
     def recount(self) -> list[NavSolution]:
-        """Return solutions that follow on each other; their innovations and events are those of the way."""
+        """Return consecutive solutions, with the innovations and events made during the flight."""
         ...
 
 
@@ -213,7 +213,7 @@ def fly(
     progress: Callable[[float], None] | None = None,
     show: ShowFlight | None = None,
 ) -> ClosedFlight:
-    """Fly a profile whose guidance reads an estimate, with run ``run``.
+    """Fly run ``run`` of a profile with guidance that uses an estimate.
 
     ``show`` is given each piece of the truth, and the estimate at its end.
 
@@ -233,7 +233,7 @@ def fly(
 def serve(
     profile: Profile, run: int, session: Client, commands: Commands | None, watch: Watch = None
 ) -> ServedFlight:
-    """Fly a profile whose guidance reads what a client answers; errors as for :func:`fly`.
+    """Fly a profile with guidance that uses the answers of a client; errors as for :func:`fly`.
 
     With ``commands`` the legs are left out: the client flies. Without any estimate there are no answers.
     ``watch`` is given each piece of the truth before it is sensed.
@@ -329,7 +329,7 @@ def _follow(
     pilot: Pilot,
     show: ShowFlight | None = None,
 ) -> None:
-    """Sense the pieces of a flight and let the pilot navigate; tell ``belief`` what comes of it."""
+    """Sense the pieces of a flight, let the pilot navigate and pass the resulting estimate to ``belief``."""
     draws, radar = SensorDraws(profile.seed, run), profile.sensors.radar is not None
     last_air: AirData | None = None
     for piece in pieces:

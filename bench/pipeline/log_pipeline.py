@@ -153,7 +153,7 @@ def read_log(
 
 
 def _describe_accuracy(records: LogRecords) -> Check:
-    """Return the line that says by what fixes are weighed."""
+    """Return the check with a message on the weights of fixes."""
     fixes = records.fixes
     sd = np.sqrt(np.einsum("mii->mi", fixes.cov_pos_n[fixes.valid])[:, :2].mean(axis=1))
     low, median, high = np.nanquantile(sd, [0.0, 0.5, 1.0])
@@ -295,7 +295,7 @@ def _find_start(log: RecordedLog) -> InitialState:
 
 
 class Session:
-    """A recording from its start on: the data for the filters, and the fixes or the reference that judge."""
+    """A recording from its start on: data for the filters, and the fixes or the reference for evaluation."""
 
     def __init__(
         self,

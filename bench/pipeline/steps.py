@@ -232,7 +232,7 @@ def navigate_all(
     stages: Stages,
     also: Callable[[str, NavSolution], object] = lambda label, solution: None,
 ) -> Navigated:
-    """Run the filters one after the other; one that raises, or cannot start, has failed.
+    """Run the filters one after the other; a filter that raises an exception, or cannot start, has failed.
 
     ``also`` is called with each solution, and may raise as a filter does.
 
@@ -268,7 +268,7 @@ def collect_printed(built: Mapping[str, estimator.Estimator]) -> dict[str, str]:
 
 
 def read_work_clock() -> float:
-    """Return the CPU time of this process without that of compiling, which comes once [s]."""
+    """Return the CPU time of this process without compilations, which happen once [s]."""
     return time.process_time() - read_compile_time()
 
 
@@ -287,9 +287,9 @@ def measure(
     drawn: SensorTruth | None = None,
     data: SensorData | None = None,
 ) -> tuple[ErrorSeries, dict[str, Any]]:
-    """Return the errors of a solution and its metrics; those of biases if the true ones are given.
+    """Return the errors of a solution and its metrics, with metrics of biases if the true biases are given.
 
-    The sensor ``data`` may excuse a silence.
+    The sensor ``data`` may excuse epochs without an answer.
     """
     return measure_solution(solution, truth, data, profile.evaluation, drawn=drawn, **_list_facts(profile))
 
@@ -331,7 +331,7 @@ def evaluate(
 def find_worked(
     built: Mapping[str, estimator.Estimator], metrics: Mapping[str, dict[str, Any]], data: SensorData
 ) -> dict[str, estimator.Estimator]:
-    """Return the filters that did not fail; the metrics of one that is another one say so."""
+    """Return the filters that did not fail; add ``same_as`` to the metrics of a filter equal to another."""
     worked = {label: one for label, one in built.items() if not metrics[label].get("failed")}
     for label, other in estimator.find_same(worked, data).items():
         metrics[label]["same_as"] = other
@@ -358,7 +358,7 @@ def explain(
     causes: bool | None,
     stages: Stages,
 ) -> Judged:
-    """Find out why a covariance is broken; a verdict that holds is returned as it is."""
+    """Find out why a covariance is broken; return other verdicts unchanged."""
     from bench.evaluation.causes.explaining import DrawnRun, explain_run
     from bench.evaluation.consistency.verdict import BROKEN
     from bench.evaluation.conventions.convention_search import find_mistakes

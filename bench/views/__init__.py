@@ -1,4 +1,4 @@
-"""Plots, recordings and reports."""
+"""Output for people: plots, recordings and reports."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Files that `bench new` writes: examples, aircraft and logs."""
+"""Commands of `bench new`, which write examples, aircraft and logs."""

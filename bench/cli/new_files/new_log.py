@@ -173,9 +173,9 @@ def _write_flight(path: Path, form: str, log: Path, console: Console) -> None:
 
 
 def _write_sheet(path: Path, kind: str, text: str, made: list[Path]) -> str:
-    """Write a datasheet that a recording holds beside it, and into the list; return its name.
+    """Write the datasheet of a recording, append its path to ``made`` and return its name, "" without a text.
 
-    One that is there already is kept: somebody may have corrected it. Without a text there is no name.
+    An existing datasheet is kept, because the user may have corrected it.
     """
     sheet = path.with_suffix(f".{kind}.toml")
     if text and not sheet.exists():
@@ -308,7 +308,7 @@ def _check(spec: LogSpec, records: LogRecords) -> list[Check]:
 
 
 def _tell_axes(imu: ImuData, found: FoundSensor) -> str:
-    """Return the line of [imu] for axes whose z points up, by gravity; empty for one that points down."""
+    """Return the `mounting_deg` line of [imu] if gravity shows that z points up, else an empty string."""
     force = np.median(imu.dvel_b[imu.valid], axis=0)
     if not force[2] > 0.5 * np.linalg.norm(force):
         return ""
@@ -325,7 +325,7 @@ def _settle_rates(
     clocks: dict[str, str],
     rates: str | None,
 ) -> LogRecords:
-    """Read the IMU in the unit of its gyros that the option says, the motion shows, or only one can be.
+    """Read the IMU in the gyro unit given by the option, shown by the motion, or the only possible unit.
 
     Raises
     ------
@@ -369,14 +369,14 @@ def _gives_a_course(records: LogRecords, until: float = np.inf) -> bool:
 
 
 def _read_back(log: Path, text: str) -> tuple[LogSpec, LogRecords]:
-    """Write the log; return what it says, and the records it names."""
+    """Write the log; return its contents and the records that it names."""
     durable.write(log, text)
     spec = load_log(str(log))
     return spec, read_records(spec)
 
 
 def _read_antenna(fixes: FoundSensor) -> tuple[list[float], str] | None:
-    """Return where the antenna is [m], b, and what says so: an export of the bench, or a file of NaveGo."""
+    """Return the antenna position [m], b, and its source: a file of bench, NaveGo or KF-GINS."""
     path, says = fixes.path, START
     try:
         if path.suffix.lower() == ".mat":
@@ -395,7 +395,7 @@ def _read_antenna(fixes: FoundSensor) -> tuple[list[float], str] | None:
 
 
 def _list_levers(folder: Path) -> Iterator[tuple[str, list[str]]]:
-    """Yield the configurations of KF-GINS in a folder, and where they say the antenna is."""
+    """Yield the configuration files of KF-GINS in a folder, each with its antenna position."""
     for path in sorted(one for one in folder.glob(_CONFIGURATIONS) if one.is_file()):
         check_file(path, path.name, _MOST_CONFIGURATION)
         line = re.search(r"^antlever:\s*\[(.*?)\]", path.read_text(encoding="utf-8"), re.MULTILINE)
@@ -409,7 +409,10 @@ def _write_log(
     antenna: tuple[list[float], str] | None,
     clocks: Mapping[str, str],
 ) -> str:
-    """Return the text of the log above [alignment]; what a file does not contain is a comment that asks."""
+    """Return the text of the log, with a question in a comment for each value that the files do not contain.
+
+    ``rest`` [s]: duration of the initial standstill, used for the alignment.
+    """
     lines = [f"title = {quote_toml(title)}"]
     asked = {
         "imu": [

@@ -97,7 +97,7 @@ def _show_progress(name: str) -> Iterator[Progress]:
 
 
 def print_campaign(console: Console, result: Campaign, *, table: bool = False) -> None:
-    """Print the figures, as a table if asked for, the sentences, and where the files are."""
+    """Print the statistics, as a full table if requested, the sentences and the paths of the files."""
     several = len({one.condition for one in result.outcomes}) > 1
     if result.outcomes and (several or table):
         print_table(console, _tabulate(result, several=several))
@@ -175,7 +175,7 @@ def run_card(
     table: bool = False,
     **options: Any,
 ) -> Card:
-    """Make the card of a filter, print it and write it; options are those of `bench.make_card`.
+    """Make the card of a filter, print it and write it; for ``options`` see `bench.make_card`.
 
     ``table`` prints every line of the card.
     Runs are kept in ``cards/<label>-<extent>`` or in ``runs``; only ``resume`` takes those that are there.

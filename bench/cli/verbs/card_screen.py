@@ -39,7 +39,7 @@ def print_card(console: Console, card: Card) -> None:
 
 
 class _CardRow:
-    """Row of a flight on the screen of a card."""
+    """Values that the screen shows for one flight of a card, taken from the lines of the card."""
 
     def __init__(self, card: Card, flight: str) -> None:
         lines = [line for line in card.lines if line.flight == flight]

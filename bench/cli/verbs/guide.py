@@ -93,7 +93,7 @@ def _name_topic(link: re.Match[str]) -> str:
 
 
 def _tell_pages(word: str, topics: Iterable[str]) -> str:
-    """Return the end of a message: the pages that have most to say of a word; empty if none has it."""
+    """Return the end of a message: the pages that mention a word most often; empty if no page does."""
     sought = re.compile(rf"\b{re.escape(word)}", re.IGNORECASE)
     pages = find_pages()
     counts = {name: len(sought.findall(pages[name].read_text(encoding="utf-8"))) for name in topics}

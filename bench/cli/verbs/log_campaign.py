@@ -19,7 +19,7 @@ from bench.io.config.log import is_datasheet, is_log
 
 
 def are_logs(sources: Sequence[str]) -> bool:
-    """Return whether a campaign is one over logs and not one of a profile.
+    """Return whether a campaign runs over logs instead of a profile.
 
     Raises
     ------
@@ -87,9 +87,9 @@ def run_logs(
 
 
 def list_recordings(path: Path, console: Console) -> list[Path]:
-    """Return the logs of a source, or of a folder; that of a recording is written if it is not there.
+    """Return the logs of a source, or of a folder; write the log of a recording if it does not exist.
 
-    A recording that has none, because it cannot be read, stands for itself.
+    A recording that cannot be read, and so has no log, is returned itself.
     """
     if path.is_dir():
         held = sorted(one for one in path.iterdir() if one.suffix.lower() in RECORDINGS and one.is_file())

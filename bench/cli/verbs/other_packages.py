@@ -1,4 +1,4 @@
-"""Additions of installed packages, and the ones that cannot be used."""
+"""Additions of installed packages to bench, and the reasons why some of them cannot be used."""
 
 from __future__ import annotations
 

@@ -60,12 +60,11 @@ def measure_table(console: Console, table: FindingTable) -> int:
 def print_table(
     console: Console, table: FindingTable, most: int | None = None, *, below: bool = False, last: bool = False
 ) -> None:
-    """Print a table, or the first rows of one that is written whole to a folder.
+    """Print a table, or the first ``most`` rows of a table that a folder contains in full.
 
-    Verdicts have their look, and a row with a name alone is a heading. If the table is too wide, intervals
-    stand below their figures; if it still is, each part has the columns that name a row, and as many others
-    as there is room for. ``below``: another table, and its blank line, stands above. ``last``: no blank line
-    follows.
+    Verdicts are styled, and a row with only a name is a heading. If the table is too wide, intervals are
+    printed below their values; if it is still too wide, each part has the key columns and as many others as
+    fit. ``below``: another table and its blank line are above. ``last``: no blank line follows.
     """
     if table.title:
         console.print(table.title, style="table.title")
@@ -93,7 +92,7 @@ def print_table(
 
 
 def _find_keys(columns: Mapping[str, Sequence[object]]) -> list[str]:
-    """Return the fewest of the first columns that tell all rows apart; figures with bounds do not."""
+    """Return the fewest of the first columns that distinguish all rows, without columns with intervals."""
 
     def differ(names: Sequence[str]) -> bool:
         rows = list(zip(*(columns[name] for name in names), strict=True))
@@ -144,7 +143,7 @@ def _show(name: str, values: Sequence[object], *, narrow: bool = False) -> _Show
 
 
 def _format(value: object, *, marked: bool, narrow: bool) -> str:
-    """Return a cell; in a column with a mark the digits of the other figures stand above its own."""
+    """Return the text of a cell; in a ``marked`` column, pad unmarked values so that the digits align."""
     if not isinstance(value, ShownFigure):
         return format_cell(value)
     text = f"{value.text}{' !' if value.outside else '  ' if marked else ''}"

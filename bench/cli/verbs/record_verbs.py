@@ -137,7 +137,7 @@ def write_recording(folder: Path, out: Path | None, *, force: bool, console: Con
 
 
 def find_runs(folder: Path, which: Sequence[str]) -> dict[str, str] | None:
-    """Return the commands of runs of a campaign by name; None if the folder is not that of a campaign."""
+    """Return the commands of runs of a campaign by name; None if the folder contains no campaign."""
     if not (folder / results.CAMPAIGN_RESULT).is_file():
         return None
     from bench.experiments.campaigns.stored import choose_runs, read_campaign
@@ -220,9 +220,9 @@ def export_run(folder: Path, *, console: Console, **options: Any) -> None:
 
 
 def score_solution(solution: Path, folder: Path, *, console: Console, **options: Any) -> dict[str, Any]:
-    """Evaluate a solution on a run, print its metrics beside those of the run, and return them.
+    """Evaluate a solution on a run, print its metrics beside the metrics of the run, and return them.
 
-    ``options`` are those of `bench.cli.exchanging.score_solution`.
+    For ``options`` see `bench.cli.exchanging.score_solution`.
     """
     score = exchanging.score_solution(solution, folder, **options)
     run, label = score.run, score.label
@@ -248,7 +248,7 @@ def stream_run(folder: Path, *, console: Console, **options: Any) -> None:
 
 
 def tabulate_allan(curve: AllanCurve) -> FindingTable:
-    """Return a curve beside that of the datasheet, if it has one."""
+    """Return a measured Allan deviation as a table, beside the curve of the datasheet if there is any."""
     unit, factor = SHOWN_UNITS[curve.triad]
     columns: dict[str, list[Any]] = {"tau [s]": curve.tau.tolist()}
     columns["measured"] = (factor * curve.measured).tolist()

@@ -87,7 +87,7 @@ def print_metrics(console: Console, measured: Measured, solutions: Mapping[str, 
 
 
 def print_bound(console: Console, measured: Measured) -> None:
-    """Print the errors over those of the best linear filter, where they were asked for."""
+    """Print the ratio of the errors to the errors of the best linear filter, if ``--bound`` computed it."""
     held = {label: values["bound"] for label, values in measured.items() if values.get("bound")}
     if not held:
         return

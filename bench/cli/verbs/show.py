@@ -148,7 +148,7 @@ _SHELVES: Mapping[str, tuple[str, Callable[[], list[CatalogEntry]]]] = {
 
 
 def list_catalog(kind: str | None = None) -> dict[str, list[CatalogEntry]]:
-    """Return what there is on each shelf by its name, or on one of them."""
+    """Return the catalog entries of all shelves by name of the shelf, or of the shelf ``kind`` alone."""
     return {name: entries() for name, (_, entries) in _SHELVES.items() if kind in (None, name)}
 
 

@@ -16,7 +16,7 @@ from bench.experiments.tuning.noise_factors import Tuning, tune
 
 
 def run_tuning(source: str, *, console: Console, out: Path, force: bool, **options: Any) -> Tuning:
-    """Tune a filter, write its datasheets and print what was found; options are those of `bench.tune`."""
+    """Tune a filter, write its datasheets and print the results; for ``options`` see `bench.tune`."""
     find_own_estimators()
     if not force and any(out.glob("*-tuned.toml")):
         raise ConfigError(f"{out}: has tuned datasheets; --force replaces them, -o names another folder")

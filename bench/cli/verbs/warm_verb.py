@@ -59,7 +59,7 @@ def warm(name: str | None, *, console: Console, estimators: tuple[str, ...] | No
 
 
 def run_shortly(base: Profile, profile: Profile, choices: tuple[EstimatorChoice, ...]) -> None:
-    """Fly level, and run the sensors of a profile, filters and the judge."""
+    """Run a short level flight: the sensors of a profile, the filters and the evaluation."""
     assert isinstance(base.flight, FlightSpec)
     rate = max(base.flight.rate, getattr(profile.flight, "rate", 0.0))
     flight = replace(base.flight, legs=(Straight(_SECONDS),), duration=None, rate=rate)

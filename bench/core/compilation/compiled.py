@@ -102,7 +102,7 @@ class Kernel:
 
     @property
     def _numba_type_(self) -> Any:
-        """Return what numba asks for where a kernel names another one."""
+        """Return the numba type of this kernel, which numba reads when another kernel names this kernel."""
         return self._part._numba_type_
 
 
@@ -133,9 +133,9 @@ def is_plain() -> bool:
 
 
 def _try_inner_parts(*, compiles: bool) -> None:
-    """Make what stands for all kernels; raise an exception if that does not work.
+    """Make a small kernel that uses each inner part of numba; raise an exception if that fails.
 
-    It also ``compiles`` and is called the first time that a cache folder is used.
+    With ``compiles``, set when a cache folder is first used, also compile and call the kernel.
     """
     import numba
 
@@ -198,16 +198,16 @@ def on_arrays(formula: Callable[..., Any]) -> Callable[..., Any]:
 
 
 class _CompileClock:
-    """CPU time that compiling took so far, without what was read from the cache, and who is told of it."""
+    """CPU time of compiling so far, without reading the cache, and the watchers notified of compilations."""
 
     def __init__(self) -> None:
         self.cpu_s, self.watchers = 0.0, list[Callable[[bool], object]]()
         self._depth, self._begun, self._collects = 0, 0.0, False
 
     def turn(self, step: int) -> None:
-        """Begin (1) or end (-1) one compilation; those of the parts of a kernel lie in its own.
+        """Begin (1) or end (-1) one compilation; compilations of the parts of a kernel are nested in its own.
 
-        No garbage is collected meanwhile: looking through all that numba keeps takes a fifth of the time.
+        No garbage is collected meanwhile: a search of all objects that numba keeps takes a fifth of the time.
         """
         self._depth += step
         if self._depth == (1 if step > 0 else 0):
@@ -228,7 +228,7 @@ _CLOCK = _CompileClock()
 
 @cache
 def time_compiling() -> None:
-    """Have numba tell the clock when it compiles; a numba that does not has no times."""
+    """Have numba notify the clock when it compiles; if numba cannot, no times are measured."""
     try:
         from numba.core import event
     except ImportError:
@@ -294,7 +294,7 @@ def _describe_types(value: Any) -> Any:
 
 @cache
 def _holds_integers(kind: type) -> bool:
-    """Return whether a named tuple declares nothing but integers: its own type says it all."""
+    """Return whether a named tuple declares only integers, so that its type alone describes it."""
     hints = getattr(kind, "__annotations__", {}).values()
     return {"int"} == {getattr(one, "__forward_arg__", one) for one in hints}
 
@@ -303,7 +303,7 @@ _NUMBERS: dict[Any, int] = {}  # of plain kernels that are called by address, ea
 
 
 def make_caller(kernels: Iterable[Callable[..., int]]) -> Callable[..., int]:
-    """Return what calls one of these kernels by its address (`call_at`); a plain one by its number."""
+    """Return a function that calls these kernels by address (`call_at`), or plain kernels by number."""
     if not is_plain():
         from bench.core.compilation.call_at import call_at
 
@@ -359,7 +359,7 @@ def hash_sources() -> str:
 
 
 def _compiled_sources() -> dict[str, bytes]:
-    """Return by name the modules that import this one, and those whose values they may have compiled in."""
+    """Return the sources, by name, of the modules that import this module, and of all their imports."""
     sources = {_name_module(path): path.read_bytes() for path in PACKAGE.rglob("*.py")}
     found: dict[str, bytes] = {}
     waiting = [name for name, text in sources.items() if b"bench.core.compilation.compiled" in text]

@@ -1,7 +1,7 @@
-"""Uses of numba's inner parts by kernels: passes, libraries, cache files.
+"""Inner parts of numba that kernels use: its passes, its libraries, the files of its cache.
 
-These are not for others, and may be other ones in any version: `bench.core.compilation.compiled` tries them
-in small, and goes without where they fail.
+They are not public and may change in any version: `bench.core.compilation.compiled` tries them on a small
+kernel, and does without them if they fail.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ _IDLE_PASSES = {
 
 @cache
 def compilers() -> tuple[type, type]:
-    """Return the compiler of kernels, and that of a kernel as a part of another one.
+    """Return the compiler of kernels, and the compiler of a kernel that is a part of another kernel.
 
-    Half of numba's passes look for what no kernel has: closures, branches of other types, array expressions.
-    A part is typed and translated. The kernel that it is a part of takes it in whole, and is optimized and
-    made into machine code at once with all its parts.
+    Half of numba's passes look for what no kernel contains: closures, branches of other types, array
+    expressions. A part is typed and translated. The enclosing kernel includes all its parts, and is optimized
+    and compiled to machine code once, with them.
     """
     from numba.core.codegen import JITCodeLibrary
     from numba.core.compiler import Compiler, Flags
@@ -107,7 +107,7 @@ def compilers() -> tuple[type, type]:
 
 @cache
 def summed_files() -> type:
-    """Return the files of numba's cache with a sum in each: what is damaged is told once and made again."""
+    """Return a class of numba cache files with checksums: a damaged file is reported once and made again."""
     import pickle
 
     from numba.core.caching import IndexDataCacheFile

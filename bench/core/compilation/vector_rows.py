@@ -21,7 +21,7 @@ _INDEX = ir.IntType(64)
 
 
 def _instructions(write: Callable[..., Any]) -> Callable[..., None]:
-    """Make a function that kernels can call of one that returns its signature and writes its instructions."""
+    """Make a function for kernels from ``write``, which returns its signature and writes its instructions."""
     return cast(Callable[..., None], intrinsic(write))
 
 

@@ -40,9 +40,9 @@ _mapped: WeakSet[mmap.mmap] = WeakSet()
 
 
 def empty(shape: int | tuple[int, ...], dtype: type[np.generic] = np.float64) -> NDArray[Any]:
-    """Return an array whose values are not set, on disk if it is large.
+    """Return an array with undefined values, on disk if it is large.
 
-    It lies in memory where there is no room on the disk, and on systems that cannot promise it.
+    It is in memory if the disk has no room, or if the system cannot reserve disk space.
     """
     shape = (shape,) if isinstance(shape, int) else shape
     size = math.prod(shape) * np.dtype(dtype).itemsize
@@ -81,7 +81,7 @@ def fill(
 
 
 class Gathered:
-    """Rows of ``width`` numbers that come in blocks, and whose number shows at the end."""
+    """Rows of ``width`` numbers that arrive in blocks; the number of rows is not known in advance."""
 
     def __init__(self, width: int) -> None:
         self._width, self._size = width, 0

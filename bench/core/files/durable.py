@@ -112,7 +112,7 @@ def is_part(name: str) -> bool:
 
 
 def _lock(descriptor: int) -> bool:
-    """Hold an open file until its process ends or closes it; False if another process holds it."""
+    """Lock an open file until its process ends or closes it; return False if that is not possible."""
     if sys.platform == "win32":
         return False
     try:

@@ -1,4 +1,4 @@
-"""Checks of a file before it is opened."""
+"""Checks of a foreign file before it is opened."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def check_file(path: Path, shown: str, most: int) -> None:
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """Read a JSON file that holds one object.
+    """Read a JSON file that contains one object.
 
     Raises
     ------

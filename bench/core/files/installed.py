@@ -1,4 +1,4 @@
-"""Additions of plug-ins and packages by entry points; nothing of others is imported here.
+"""Entry points that plug-ins and other packages add to bench; no code of other packages is imported here.
 
 A package names in its ``pyproject.toml`` under ``[project.entry-points."bench.GROUP"]``:
 
@@ -43,7 +43,7 @@ _MODULE = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*")
 
 @dataclass(frozen=True, slots=True)
 class Installed:
-    """Addition by one entry point."""
+    """One addition of an entry point."""
 
     name: str
     place: str  # "module:Class", "module" or "package.folder"

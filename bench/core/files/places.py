@@ -10,7 +10,7 @@ PACKAGE = Path(__file__).resolve().parents[2]
 
 
 def locate_source(name: str) -> Path:
-    """Return a file or folder of the package, "bench/cli/api.py" say.
+    """Return the path of a file or folder of the package, for example "bench/cli/api.py".
 
     Raises
     ------

@@ -37,7 +37,7 @@ _ASIDE, _NAME = "old", "name"  # a folder that `set_aside` moved, and a file wit
 
 @contextlib.contextmanager
 def make_scratch(place: Path | None = None) -> Iterator[Path]:
-    """Provide a temporary folder in a folder, by default in that of the system for temporary files.
+    """Provide a temporary folder in ``place``, by default in the temporary folder of the system.
 
     It is removed at the end. Folders that killed processes left in the same place are removed first.
     """
@@ -69,7 +69,7 @@ def set_aside(scratch: Path, folder: Path) -> None:
 
 
 def remove_abandoned(place: Path) -> None:
-    """Remove the temporary folders in a folder whose processes were killed on this machine."""
+    """Remove the temporary folders in a folder that killed processes of this machine left there."""
     with contextlib.suppress(OSError):  # not there, or not readable
         for folder in place.glob(f"{PREFIX}{identify_machine()}-*"):
             lock = lock_folder(folder) if _is_own(folder) else None
@@ -119,7 +119,7 @@ def _end(unlocked: Path, folder: Path, lock: int | None) -> None:
 
 
 def _move_back(folder: Path) -> bool:
-    """Move what was set aside back under its name if that is free; False if nothing tells the name."""
+    """Move a folder that was set aside back to its name if the name is free; False if the name is unknown."""
     aside = folder / _ASIDE
     if not aside.exists():
         return True
@@ -134,7 +134,7 @@ def _move_back(folder: Path) -> bool:
 
 
 def _find_home(folder: Path) -> Path | None:
-    """Return where what was set aside belongs, beside its temporary folder; None if no name tells."""
+    """Return the original path of a folder that was set aside; None if its name is missing or not plain."""
     try:
         name = (folder / _NAME).read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError):

@@ -54,7 +54,7 @@ def count_work(before: float, now: float, look: float) -> float:
 
 
 class Watch:
-    """Limits of a process from now on: wall time [s], and memory of its own [byte]."""
+    """Limits on the remaining wall time [s] and the own memory [byte] of a process."""
 
     def __init__(self, pid: int, seconds: float, memory: float) -> None:
         self._pid, self._seconds, self._memory = pid, seconds, memory
@@ -75,7 +75,7 @@ class Watch:
 
 
 class Printed:
-    """Output of a process: its begin and its end.
+    """Output of a process, reduced to its begin and its end.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ class Printed:
 
 
 def describe_output(most: float) -> str:
-    """Return why a process is stopped whose solution is larger than that [byte]."""
+    """Return why a process with a solution larger than ``most`` [byte] is stopped."""
     return f"stopped: its solution is larger than {most / 1e6:.4g} MB (--output)"
 
 

@@ -1,4 +1,4 @@
-"""Checks of the shape and dtype of arrays; messages say what is expected."""
+"""Checks of the shape and dtype of arrays; error messages contain the expected shape or dtype."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def is_array(value: object, dtype: np.dtype[Any], shape: Shape) -> bool:
 
 
 def is_short_and_finite(array: FloatArray) -> bool:
-    """Return whether an array is finite, where one look tells it: it has few rows."""
+    """Return whether an array is short and one quick test shows that it is finite."""
     # of finite values alone is the sum of squares finite; `isfinite` takes twice as long
     return len(array) <= _FEW and math.isfinite(np.vdot(array, array))
 

@@ -68,11 +68,11 @@ class ConfigError(BenchError):
 
 
 class ExportError(BenchError):
-    """A result cannot be written in the form asked for."""
+    """A result cannot be written in the requested format."""
 
 
 class NothingToShowError(BenchError):
-    """A solution holds nothing that a recording could show."""
+    """A solution contains nothing that a recording could show."""
 
 
 class EstimatorError(BenchError):

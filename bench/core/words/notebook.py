@@ -1,4 +1,4 @@
-"""Output of results in notebooks: sentences, and tables of at most a screen, as HTML without scripts."""
+"""Display of a result in a notebook: sentences, and tables of at most a screen, as HTML without scripts."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def format_cell(value: object) -> str:
 
 
 def make_frame(columns: Mapping[str, Any]) -> Any:
-    """Return columns as a pandas.DataFrame. A `BenchError` says so if pandas is not installed."""
+    """Return columns as a pandas.DataFrame; raise a `BenchError` if pandas is not installed."""
     return load_pandas().DataFrame(dict(columns))
 
 

@@ -1,4 +1,4 @@
-"""The colors of all pages, recordings and figures, on light and on dark ground: seven, and one of fixes.
+"""Colors of all pages, recordings and figures, on light and on dark ground: seven, and a color for fixes.
 
 Any two are at least 20 apart by CIEDE2000, with normal sight and without red, green or blue cones, and stand
 out from the ground by 3:1 (`tests/test_palette.py` computes both). They were found by simulated annealing.
@@ -48,7 +48,7 @@ _OWNERS: Mapping[str, int] = {
 
 
 class DrawnLook(NamedTuple):
-    """Color and line style of a filter."""
+    """Color and dash of the lines of a filter."""
 
     color: Color  # its tone on dark ground
     dashed: bool  # another one of the same picture has the color

@@ -76,7 +76,7 @@ def let_streams_write_all() -> None:
 
 
 def _steady(stream: Any) -> Any:
-    """Return a stream to the same file that takes whatever is written; one that is no file's, as it is."""
+    """Return a stream to the same file that accepts any text; return a stream without a file unchanged."""
     if not isinstance(stream, TextIOWrapper):
         return stream
     own = stream.errors not in ("strict", "backslashreplace", "surrogateescape")

@@ -27,7 +27,7 @@ _PATTERNS = [
 
 
 def rename(text: str) -> str:
-    """Return a text with the names of today in place of those of an earlier format.
+    """Return a text with the names of an earlier format replaced by the present names.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""What is told to the user: numbers, a wrong value as it is written in TOML, and no control characters."""
+"""Wording of messages: numbers, a wrong value as written in TOML, and text without control characters."""
 
 from __future__ import annotations
 

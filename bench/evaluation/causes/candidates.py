@@ -1,8 +1,8 @@
-"""Possible causes of an inconsistent run, and sensors without each of them.
+"""Possible causes of an inconsistent run, and the sensors without each cause.
 
-Candidates are the faults, the errors of the sensors on board for which a filter has no state, as it names
-them, and figures that it assumes otherwise than they are. To take one away changes the sensors on board and
-not what filters assume of them; its draw is its own, so that all other noise stays bit by bit.
+Candidates are the faults, the errors of the simulated sensors for which a filter reports no state, and sensor
+parameters that it assumes wrongly. Removing a candidate changes the simulated sensors, not the assumed
+datasheet; its noise has a generator of its own, so that all other noise stays the same bit by bit.
 """
 
 from __future__ import annotations

@@ -45,7 +45,7 @@ def explain_run(
     data: SensorData,
     progress: Callable[[int], None] = lambda runs: None,
 ) -> dict[str, Any]:
-    """Return what the metrics of an inconsistent run say of its causes; empty if no block is above its band.
+    """Return the causes of an inconsistent run as metrics; empty if the NEES of no block is above its band.
 
     Parameters
     ----------

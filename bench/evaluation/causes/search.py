@@ -154,7 +154,7 @@ def _share(before: BlockNees, after: BlockNees) -> float:
 
 
 def describe_causes(causes: Causes, advice: str) -> str:
-    """Return the sentences that say why a run is not consistent."""
+    """Return the sentences that explain why a run is not consistent."""
     if not causes.steps:
         return (
             f"not found: no fault, and no error that it does not model, makes {100 * LEAST:.0f} % of the "

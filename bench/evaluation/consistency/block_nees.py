@@ -54,7 +54,7 @@ def measure_nees(error: FloatArray, cov: FloatArray) -> BlockNees:
 
 
 def judge_blocks(errors: ErrorSeries, solution: NavSolution, begin: float) -> dict[str, BlockNees]:
-    """Return the NEES of each block that a solution reports, from a time on [s]; "all" is that of all."""
+    """Return the NEES of each block that a solution reports, from a time on [s]; "all" is the joint NEES."""
     rows = find_covered_epochs(solution) & (solution.t >= begin - SAME_INSTANT)
     claimed = claimed_blocks(solution)
     at, claims = select_epochs(errors, rows), select_epochs(solution, rows).cov
@@ -66,7 +66,7 @@ def judge_blocks(errors: ErrorSeries, solution: NavSolution, begin: float) -> di
 
 
 def find_broken_block(found: Mapping[str, BlockNees]) -> str | None:
-    """Return the block whose NEES is the largest over its states, if the covariance of any is broken."""
+    """Return the block with the largest NEES per state, if the covariance of any block is broken."""
     blocks = {name: one for name, one in found.items() if name != "all"}
     broken = {name: one for name, one in blocks.items() if one.mean > one.high or one.mean == np.inf}
     if not broken and "all" in found and found["all"].mean > found["all"].high:

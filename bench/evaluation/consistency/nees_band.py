@@ -1,4 +1,4 @@
-"""Between which the mean normalized squared error of a record lies whose covariances are right."""
+"""Bounds of the mean normalized squared error of a record with correct covariances."""
 
 from __future__ import annotations
 

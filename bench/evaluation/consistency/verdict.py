@@ -48,7 +48,7 @@ _SMALLEST = float(np.sqrt(-2.0 * np.log(0.95))) / RAYLEIGH_95  # 5 % quantile ov
 
 
 class _Judgment(NamedTuple):
-    """A verdict: its word, what it stands on in a few words, and a sentence or two."""
+    """A verdict: its word, its reason in a few words, and a sentence or two."""
 
     word: str
     reason: str  # "" of a covariance that holds
@@ -136,7 +136,7 @@ def add_verdict(
 
 
 def list_sentences(values: Mapping[str, Any]) -> list[str]:
-    """Return what the verdict of a filter says beyond its first sentence: drift and requirements."""
+    """Return the sentences of the verdict of a filter after the first: drift and requirements."""
     return [*values.get("drift_text", ()), *values.get("required_text", ())]
 
 
@@ -194,7 +194,7 @@ def _judge(label: str, values: Mapping[str, Any]) -> _Judgment:
 
 
 def _find_wrong_innovations(values: Mapping[str, Any]) -> tuple[list[str], list[str]]:
-    """Return the sensors whose mean NIS is above its band, and those whose is below."""
+    """Return the sensors with a mean NIS above its band, and the sensors with a mean NIS below its band."""
     wrong = [
         name.removeprefix("nis_mean_")
         for name in values
@@ -234,7 +234,7 @@ def _judge_by_innovations(label: str, values: Mapping[str, Any]) -> _Judgment:
 
 
 def describe_nees(values: Mapping[str, Any]) -> str:
-    """Return the mean NEES with its band; "" if one of them is unknown."""
+    """Return the mean NEES with its band in words; "" if any of the three values is unknown."""
     mean, low, high = (values.get(f"nees_{name}") for name in ("mean", "low", "high"))
     if mean is None or low is None or high is None:
         return ""
@@ -334,7 +334,7 @@ def judge_drift(label: str, values: Mapping[str, Any]) -> list[str]:
 
 
 def compare_drift(value: float, most: float) -> str:
-    """Return whether a drift is normal, by the radius that holds 95 % of those predicted."""
+    """Compare a drift with the 95 % radius of the predicted drift, in words."""
     if value > most:
         return f"more than normal, {value / most:.2g} times the 95 % radius"
     return "normal" if value > _SMALLEST * most else "less than normal"

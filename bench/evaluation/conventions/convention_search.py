@@ -157,7 +157,7 @@ def is_consistent(found: dict[str, BlockNees]) -> bool:
 def search(
     truth: Trajectory, answers: Answers, claimed: Sequence[str], conventions: Sequence[Convention]
 ) -> list[Mistake]:
-    """Return the best convention and those that the flight cannot tell from it; empty if none does."""
+    """Return the best convention and all the flight cannot distinguish from it; empty if none fits."""
     own = judge(truth, answers, claimed)
     motion = move(truth, answers)
     error, cov = compare(answers, motion), answers.cov[motion.inside]
@@ -184,7 +184,7 @@ def search(
 
 
 def is_alike(best: Mistake, one: Mistake) -> bool:
-    """Return whether the blocks that one of two conventions changes fit as well without the other."""
+    """Return whether the blocks changed by the best or another convention fit as well with the other."""
     blocks = [name for name in best.left if name in {*best.convention.blocks, *one.convention.blocks}]
     least, found = (sum(mistake.left[name].mean for name in blocks) for mistake in (best, one))
     return found <= least + max(_ALIKE * least, _SURE / max(best.after.samples, 1.0))
@@ -198,7 +198,7 @@ def try_convention(
     claimed: Sequence[str],
     before: BlockNees,
 ) -> Mistake | None:
-    """Return a convention as a mistake if undoing it makes the covariance of its blocks hold."""
+    """Return a convention as a mistake if undoing it makes the covariance of its blocks consistent."""
     constants, both = _NOTHING, True
     if one.derivative is not None:
         constants, both = fit(truth, answers, one, blocks)
@@ -279,7 +279,7 @@ def _weigh(
 def solve(
     truth: Trajectory, answers: Answers, one: Convention, blocks: Sequence[str], constants: FloatArray
 ) -> tuple[FloatArray | None, list[FloatArray]]:
-    """Return a step of weighted least squares from some constants, and those of the two halves alone."""
+    """Return a step of weighted least squares from some constants, and the steps of the two halves alone."""
     assert one.derivative is not None
     undone = one.undo(answers, move(truth, answers), constants)
     motion = move(truth, undone)
@@ -319,5 +319,5 @@ def _write(nees: float) -> str:
 
 
 def keep_finite(value: float) -> float | None:
-    """Return a value, or None if it is not finite, which JSON cannot hold."""
+    """Return a value, or None if it is not finite, because JSON cannot contain it."""
     return value if np.isfinite(value) else None

@@ -130,7 +130,7 @@ def _list_fitted(antenna_b: FloatArray) -> Iterator[Convention]:
 
 
 def _in_rows(rows: slice, columns: FloatArray) -> FloatArray:
-    """Return (K, 9, p) that holds columns (K, 3, p) in the rows of a block."""
+    """Return (K, 9, p) with the columns (K, 3, p) in the rows of a block and zeros elsewhere."""
     whole = np.zeros((len(columns), 9, columns.shape[2]))
     whole[:, rows] = columns
     return whole
@@ -165,7 +165,7 @@ def _by_arm(motion: TrueMotion) -> FloatArray:
 
 
 def tell_arm(antenna_b: FloatArray, c: FloatArray) -> str:
-    """Return the words for a point (3,) [m], b, whose motion was reported instead of that of the IMU."""
+    """Describe the point (3,) [m], b, with its motion reported in place of the motion of the IMU."""
     far = np.linalg.norm(antenna_b)
     whose = "the antenna" if np.linalg.norm(c - antenna_b) < 0.3 * far else "a point"
     return f"the motion of {whose} {c[0]:.2f}, {c[1]:.2f}, {c[2]:.2f} m (forward, right, down) from the IMU"

@@ -58,7 +58,7 @@ class Consistency:
 
     @property
     def rejected(self) -> bool:
-        """Return whether a test fails: the covariance is not exactly that of the errors."""
+        """Return whether a test fails, that is, whether the covariance does not match the errors exactly."""
         return bool(self.reasons)
 
     @property

@@ -28,7 +28,7 @@ ELAPSED = (1.0, 3.0, 10.0, 30.0, 60.0, 120.0, 300.0, 600.0)
 
 @dataclass(frozen=True, slots=True)
 class EnsembleSummary:
-    """Statistics of a filter over runs; those of errors are over the runs that converged."""
+    """Statistics of a filter over runs; statistics of errors are over the runs that converged."""
 
     label: str
     runs: int

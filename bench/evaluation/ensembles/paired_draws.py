@@ -1,8 +1,8 @@
-"""Paired comparison of two filters: which one is better, by how much, and how many more runs decide.
+"""Comparison of two filters on the same runs: better, relevant, and the number of runs needed to decide.
 
-Draw k of both has the same noise, so that what both have in common is in no interval. What is compared is
-the ratio of root mean squares. A pair that is looked at several times while runs are added, or one of
-several pairs, gets a part of the probability of a wrong word (Bonferroni).
+Run k of both has the same noise, so that noise in common is in no interval. The ratio of root mean squares is
+compared. If a pair is evaluated several times while runs are added, or is one of several pairs, it gets a
+part of the probability of a false verdict (Bonferroni).
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class PairedRatio:
 
     @property
     def sentence(self) -> str:
-        """Which is better and by how much, or how many runs would tell."""
+        """Return which filter is better and by how much, or how many more runs would decide."""
         text = f"{self.first} over {self.second} {format_number(self.ratio.value, 3)} ({self.ratio.interval})"
         if self.word != "undecided":
             return f"{text}: {self.word}"

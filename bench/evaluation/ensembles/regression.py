@@ -41,7 +41,7 @@ def distance_from(expected: float) -> Scale:
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """Change of a metric, positive if worse, on the scale of its comparison."""
+    """Amount by which a metric is worse after a change than before, on the scale of its comparison."""
 
     estimate: float  # above 0: worse
     standard_error: float

@@ -103,7 +103,7 @@ def estimated_blocks(solution: NavSolution) -> tuple[str, ...]:
 
 
 def claimed_blocks(solution: NavSolution) -> tuple[str, ...]:
-    """Return the estimated blocks whose accuracy is reported: any number on the diagonal of cov."""
+    """Return the estimated blocks with a reported accuracy: any number on the diagonal of cov."""
     return tuple(name for name in estimated_blocks(solution) if _claims(solution, BLOCKS[name]))
 
 
@@ -336,7 +336,7 @@ def find_covered_epochs(solution: NavSolution) -> BoolArray:
 
 
 def find_answered_epochs(solution: NavSolution) -> BoolArray:
-    """Return a mask (M,) of the epochs that have any number, and that no `NOT_COVERED` event holds."""
+    """Return a mask (M,) of the epochs with any number and outside all `NOT_COVERED` events."""
     rows = np.zeros(len(solution), np.bool_)
     columns = [*(getattr(solution, name) for name in VALUES.values()), solution.cov]
     for block in disk_arrays.blocks(len(solution)):
@@ -378,7 +378,7 @@ def as_slice(rows: BoolArray | IntArray | slice) -> BoolArray | IntArray | slice
 
 
 def _not_finite(values: FloatArray) -> BoolArray:
-    """Return a mask (M,) of the rows of values (M, ...) that hold NaN or infinity."""
+    """Return a mask (M,) of the rows of values (M, ...) that contain NaN or infinity."""
     return np.array(~np.isfinite(values.reshape(len(values), -1)).all(axis=1))
 
 

@@ -1,4 +1,4 @@
-"""A filter that failed: a solution without values, with events that say why."""
+"""Solution of a filter that failed: without values, with events that give the reason."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def check_starts(raised: Mapping[str, EstimatorError | EstimatorFailedError], co
 
 
 def describe_failure(solution: NavSolution) -> dict[str, Any]:
-    """Return what the metrics of a failed filter say of it; empty if it did not fail."""
+    """Return the metrics of a failed filter; empty if it did not fail."""
     reasons = solution.events.select(FAILED)
     if not reasons:
         return {}

@@ -19,7 +19,7 @@ _PACE = 1.0  # a relative error begins every so many seconds [s]
 
 @dataclass(frozen=True, slots=True)
 class Poses:
-    """Estimated and true poses at the same epochs; without an attitude the axes of e stand for b."""
+    """Estimated and true poses at the same epochs; without an attitude, axes e replace axes b."""
 
     t: FloatArray  # (M,) [s]
     estimate_e: FloatArray  # (M, 3) [m], e

@@ -1,7 +1,7 @@
-"""Errors of a solution against a reference: what another unit says of the same motion.
+"""Errors of a solution against a reference: the same motion measured by another system.
 
-Solution and reference have times of their own: the one with more rows is interpolated at the epochs of the
-other, never across a gap of it.
+Solution and reference have different times: the record with more rows is interpolated at the epochs of the
+other, never across a gap.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ def _meet(solution: NavSolution, track: NavSolution) -> tuple[NavSolution, NavSo
 
 
 def take_as_read(solution: NavSolution, shown: str) -> ForeignSolution:
-    """Return a solution as one that can be interpolated."""
+    """Return a solution in the form that can be interpolated."""
     return ForeignSolution(
         shown=shown,
         rows=np.arange(1, len(solution) + 1),

@@ -1,4 +1,4 @@
-"""Cross-track error of a leg from a heading alignment error, and the inverse (B-8), on the sphere."""
+"""Cross-track error on a leg due to the heading alignment, and its inverse (B-8), on the sphere."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ _GAP, _SHORTEST = 5.0, 2.0
 
 
 def find_outages(fixes: GnssFixes) -> list[tuple[float, float]]:
-    """Return the last fix before each real outage, and the one that ends it [s]."""
+    """Return the times [s] of the last fix before each real outage and of the fix that ends it."""
     t = fixes.t[fixes.valid]
     steps = np.diff(t)
     if not len(steps):

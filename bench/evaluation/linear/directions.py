@@ -1,8 +1,8 @@
-"""Observability of heading, tilts and biases on a flight, relative to the initial sigma.
+"""Observability of heading, tilts and biases on a flight, relative to their initial uncertainty.
 
-With P of these nine figures and D their standard deviations at the start, the eigenvalues of D^-1 P D^-1 say
-how much of each direction is left (F. M. Ham and R. G. Brown, IEEE Trans. Aerospace and Electronic Systems 19
-(2), 1983): 1 is a direction that nothing has told, and the greatest is the least observable one.
+With P of these nine states and D their initial standard deviations, the eigenvalues of D^-1 P D^-1 give the
+remaining variance of each direction (F. M. Ham and R. G. Brown, IEEE Trans. Aerospace and Electronic Systems
+19 (2), 1983): 1 is an unobserved direction, and the greatest is the least observable.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ TURNING = 1.0 * DEG  # rate of the course from which on it is a turn [rad/s]
 
 @dataclass(frozen=True, slots=True)
 class Observed:
-    """Covariance of the `FIGURES` in the best linear filter at M epochs."""
+    """Standard deviations of the `FIGURES` in the best linear filter at M epochs, and their directions."""
 
     t: FloatArray  # (M,) [s]
     sd: FloatArray  # (M, 9)

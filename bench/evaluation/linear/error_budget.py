@@ -188,7 +188,7 @@ class SourceWalk:
 
 
 class ProcessSteps:
-    """Transition of R processes over a step, and their part in a measurement."""
+    """Propagation of R processes over a step, and their effect on a measurement."""
 
     def __init__(self, processes: Sequence[ErrorProcess]) -> None:
         def stack(name: str) -> FloatArray:

@@ -1,4 +1,4 @@
-"""Filters held against the best linear one on a flight."""
+"""Comparison of filters with the best linear filter on a flight."""
 
 from __future__ import annotations
 
@@ -74,11 +74,11 @@ def bound_in_range(
     smooth: bool,
     attitude_known: bool = False,
 ) -> Bound:
-    """Return the covariances of :func:`bound_flight` where a linear model of the attitude holds.
+    """Return the covariances of :func:`bound_flight`, if a linear model of the attitude is valid.
 
-    Where an angle has a standard deviation beyond `LINEAR`, at the start or later, sines are not angles.
-    Then, and if it is ``attitude_known``, the attitude counts as exactly known and its variances are NaN: who
-    knows more errs less, so that the other variances are below those of any filter still.
+    If the standard deviation of an angle exceeds `LINEAR`, initially or later, the sine of the angle is not
+    the angle. Then, and if ``attitude_known``, the attitude is assumed exactly known and its variances are
+    NaN. More knowledge means less error, so the other variances stay below those of any filter.
     """
     if not attitude_known:
         bound = bound_flight(truth, spec, data, seed, t, smooth=smooth)

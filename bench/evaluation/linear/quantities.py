@@ -1,4 +1,4 @@
-"""Figures of the errors of position, velocity and attitude, and what they are over those of the best."""
+"""Errors of position, velocity and attitude, and their ratios to the errors of the best linear filter."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ QUANTITIES = (
 
 @dataclass(frozen=True, slots=True)
 class Ratio:
-    """A root mean square error over that of the best linear filter, with its `LEVEL` interval."""
+    """Ratio of a root mean square error to the bound of the best linear filter, with its `LEVEL` interval."""
 
     rmse: float
     bound: float
@@ -51,9 +51,9 @@ class Ratio:
 
 
 def root_mean_interval(rms: FloatArray, freedom: float) -> tuple[FloatArray, FloatArray]:
-    """Return the `LEVEL` interval of standard deviations whose estimates are ``rms``.
+    """Return the `LEVEL` interval of standard deviations estimated as ``rms``.
 
-    ``freedom`` is that of the chi-square variable behind each, such as the number of runs.
+    ``freedom``: degrees of freedom of each estimate (chi-square), such as the number of runs.
     """
     tail = 0.5 * (1.0 - LEVEL)
     low, high = (2.0 * float(gammaincinv(0.5 * freedom, p)) / freedom for p in (tail, 1.0 - tail))

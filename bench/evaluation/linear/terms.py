@@ -76,7 +76,7 @@ class ErrorProcess:
 
     @property
     def states(self) -> bool:
-        """Return whether it has states, not only white noise."""
+        """Return whether the process has states, not only white noise."""
         return bool(self.variance.any() or self.density.any() or self.kick.any())
 
 
@@ -218,7 +218,7 @@ def _initial_errors(spec: SensorsSpec) -> Iterator[Constant]:
 
 
 def list_triad_constants(words: str, triad: TriadSpec, first: int) -> Iterator[Constant]:
-    """Yield the constant errors of a triad whose x axis is the input ``first``."""
+    """Yield the constant errors of a triad with its x axis at the input ``first``."""
     for name, figure, factor, step in (
         ("turn-on bias", "turn_on_bias_sd", STEADY, 0),
         ("scale factor", "scale_factor_sd", first, 1),
@@ -251,7 +251,7 @@ def list_triad_constants(words: str, triad: TriadSpec, first: int) -> Iterator[C
 
 
 def list_triad_processes(words: str, triad: TriadSpec, first: int) -> Iterator[ErrorProcess]:
-    """Yield the random processes of a triad whose x axis is the input ``first``."""
+    """Yield the random processes of a triad with its x axis at the input ``first``."""
     yield ErrorProcess(f"{words} white noise", IMU, first, white=triad.by_axis("random_walk") ** 2)
     if triad.bias_instability > 0:
         share = triad.by_axis("bias_instability") / triad.bias_instability

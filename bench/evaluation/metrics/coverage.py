@@ -1,8 +1,8 @@
-"""Fraction of the requested epochs with a solution, and the error counted at the others.
+"""Fraction of the requested epochs that a solution answers, and the error counted at the other epochs.
 
-Each block that it estimates (position, velocity, attitude) counts at every time from its first answer on.
-A silent time is charged the last answer, carried on by its own velocity: a filter that is silent where it
-errs must not look better than one that answers.
+Each estimated block (position, velocity, attitude) counts at every time from its first answer on. An epoch
+without an answer gets the error of the last answer, extrapolated by its own velocity: a filter without
+answers where its errors are large must not look better than a filter that answers.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class Coverage:
 
     @property
     def enough(self) -> bool:
-        """Return whether every block answers all but a few."""
+        """Return whether every block answers all but a few epochs."""
         return self.share >= ENOUGH
 
     @property
@@ -130,9 +130,9 @@ def find_silent_epochs(solution: NavSolution) -> BoolArray:
 
 
 def carry_on(solution: NavSolution, silent: BoolArray) -> NavSolution:
-    """Return a solution whose silent epochs (M,) hold the last answer before them, carried on.
+    """Return a solution with its silent epochs (M,) filled by the last answer before them, extrapolated.
 
-    Position moves by the velocity of that answer; velocity and attitude stay. Nothing is reported there.
+    Position moves by the velocity of the last answer; velocity and attitude stay. No sigma is reported there.
     """
     if not silent.any():
         return solution

@@ -1,4 +1,4 @@
-"""The figures of a run that stand in its table, with their bounds in words."""
+"""Metrics of a run that its table shows, with their bounds in words."""
 
 from __future__ import annotations
 
@@ -63,17 +63,17 @@ _ROWS = {
 
 
 def is_key_figure(name: str) -> bool:
-    """Return whether a metric stands in the tables."""
+    """Return whether the tables show a metric."""
     return name.startswith(_SUMMARY) and not name.endswith(("_all", "_predicted_95_h_m"))
 
 
 def explain_rows(names: Sequence[str]) -> list[str]:
-    """Return what rows of the table are that their words do not say, a text for each kind."""
+    """Return explanations of rows of the table that their labels do not give, a text for each kind."""
     return [text for start, text in _ROWS.items() if any(name.startswith(start) for name in names)]
 
 
 def list_key_figures(measured: Measured) -> list[str]:
-    """Return the names of the metrics to show, in order; bounds stand beside what they bound."""
+    """Return the names of the metrics to show, in order; bounds are shown beside their metrics."""
     names = dict.fromkeys(name for values in measured.values() for name in values)
     found = [
         name

@@ -48,7 +48,7 @@ class Protection:
 
 
 def protect_fault_free(solution: NavSolution) -> Protection:
-    """Return the levels that hold while nothing is faulty, by the covariance of the solution."""
+    """Return the protection levels for fault-free measurements, by the covariance of the solution."""
     sd = deviations(solution.cov[:, :3, :3])
     level = np.where(np.isfinite(sd), sd * (HORIZONTAL, VERTICAL), np.inf)
     return Protection(level, np.zeros(len(level), np.bool_))
@@ -60,7 +60,7 @@ def protect_by_separation(
     false_alarm: float = FALSE_ALARM,
     missed: float = MISSED,
 ) -> Protection:
-    """Return the levels that hold while at most one satellite is faulty.
+    """Return the protection levels for at most one faulty satellite.
 
     Parameters
     ----------

@@ -74,7 +74,7 @@ def spectrum(rate: FloatArray, window: FloatArray, dt: float) -> FloatArray:
 def assume_motion_noise(
     spec: ImuSpec, imu: ImuData, standstills: Sequence[tuple[float, float]]
 ) -> tuple[ImuSpec, Check]:
-    """Return a datasheet with the larger of its noise and that in motion, and a line that says so."""
+    """Return a datasheet with the larger of its noise and the noise in motion, and a check with a message."""
     found = measure_motion_noise(imu, standstills)
     if found is None:
         text = f"imu: less than {LEAST:g} s of whole motion; the assumed noise is from {spec.name}"

@@ -46,7 +46,7 @@ class RecordedMotion:
 
     @classmethod
     def from_records(cls, imu: ImuData, fixes: GnssFixes) -> RecordedMotion:
-        """Take the valid rows whose time increases."""
+        """Make the motion from valid rows with plausible rates and increasing times."""
 
         def measure(increments: FloatArray, rows: slice | IntArray) -> FloatArray:
             return np.asarray(increments[rows] / imu.dt[rows, None])
@@ -84,7 +84,7 @@ class RecordedMotion:
 
     @property
     def moves(self) -> bool:
-        """Return whether the vehicle moves at all, by its velocities or, without them, by its positions."""
+        """Return whether the vehicle moves, by its velocities or, without them, by its positions."""
         vel_n = self.take_velocities()[2]
         if len(vel_n) < _NEAR:
             return False
@@ -116,7 +116,7 @@ class RecordedMotion:
 
 
 def _find_ordered(t: FloatArray, valid: BoolArray) -> IntArray:
-    """Return the valid rows with a time after those of all valid rows before."""
+    """Return the valid rows with a time after the times of all valid rows before."""
     rows = np.flatnonzero(valid)
     t = t[rows]
     later = np.ones(len(rows), np.bool_)

@@ -78,7 +78,7 @@ def measure_vibration(imu: ImuData) -> tuple[FloatArray, FloatArray]:
 
 
 def assume_vibration(spec: ImuSpec, imu: ImuData) -> tuple[ImuSpec, Check]:
-    """Return a datasheet with the larger of its noise and that of a recording, and a line that says so."""
+    """Return a datasheet with the larger of its noise and the recorded noise, and a check with a message."""
     gyro, accel = (float(np.sqrt(np.mean(np.square(axes)))) for axes in measure_vibration(imu))
     return assume_noise(spec, (gyro, accel), "vibration_ratio", "noise from sample to sample")
 
@@ -97,7 +97,7 @@ def _sum_up(imu: ImuData, rows: IntArray) -> FloatArray:
 def assume_rest_noise(
     spec: ImuSpec, imu: ImuData, standstills: Sequence[tuple[float, float]]
 ) -> tuple[ImuSpec, Check]:
-    """Return a datasheet with the larger of its noise and that at rest, and a line that says so."""
+    """Return a datasheet with the larger of its noise and the noise at rest, and a check with a message."""
     found = measure_rest_noise(imu, standstills)
     if found is None:
         text = f"imu: at rest for less than {LEAST:g} s; the assumed noise is from {spec.name}"
@@ -110,9 +110,9 @@ def assume_rest_noise(
 def assume_noise(
     spec: ImuSpec, found: tuple[float, float], name: str, what: str, more: str = ""
 ) -> tuple[ImuSpec, Check]:
-    """Return a datasheet with the larger of its noise and that of gyros and accelerometers found, and a line.
+    """Return a datasheet with the larger of its noise and the measured noise, and a check with a message.
 
-    The line begins with ``what`` was found and ends with ``more``; its check is called ``name``.
+    The message begins with ``what``, the kind of noise, and ends with ``more``; the check is called ``name``.
     """
     words, triads, ratios = [], dict[str, TriadSpec](), list[float]()
     for kind, noise in zip(("gyro", "accel"), found, strict=True):

@@ -189,7 +189,7 @@ def fit_ratio(x: FloatArray, y: FloatArray) -> tuple[float, float]:
 
 
 def check_heights(name: str, motion: RecordedMotion, record: Any) -> list[Check]:
-    """Compare the heights of a barometer with those of the receiver."""
+    """Compare the heights of a barometer with the heights of the receiver."""
     height_b = INSTRUMENTS[name].values(record)[:, 0]
     good = record.valid & np.isfinite(height_b)
     rows = np.flatnonzero(good)[np.unique(record.t[good], return_index=True)[1]]

@@ -1,1 +1,1 @@
-"""Requirements on a navigator, and their check."""
+"""Requirements on a navigation filter, and whether they are met."""

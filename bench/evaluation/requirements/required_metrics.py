@@ -1,9 +1,9 @@
-"""Requirements on a filter, checked on one run or many.
+"""Requirements on a filter, and whether one run, or many runs, meet them.
 
-A requirement is a row ``[[requirement]]`` of a profile or a log, as its document has it. One run keeps it if
-its metric does; a run that did not converge, or has no such metric, does not. Of many runs a ``share`` has
-to: that is met or missed where the 95 % bound on their share says so (Clopper and Pearson, one side), else
-more runs are needed.
+A requirement is a row ``[[requirement]]`` of a profile or a log. One run meets it if its metric does; a run
+that did not converge, or has no such metric, does not. Of many runs, at least the fraction ``share`` must
+meet it: the verdict is met or missed if the 95 % bound on this fraction decides it (Clopper and Pearson, one
+side), else more runs are needed.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ Values = Mapping[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """Result of one requirement for one filter."""
+    """Verdict on one requirement of a filter."""
 
     label: str
     metric: str
@@ -47,7 +47,7 @@ class Looks:
 
     @property
     def numbers(self) -> list[int]:
-        """Return how many runs there are at each look."""
+        """Return the number of runs at each look."""
         found = [self.first]
         while found[-1] < self.most:
             found.append(min(2 * found[-1], self.most))
@@ -66,7 +66,7 @@ def count_meeting_runs(share: float) -> int:
 
 
 def is_metric(name: str) -> bool:
-    """Return whether a requirement may name a metric so; :data:`EVERY` stands for a number."""
+    """Return whether a requirement may name a metric so; :data:`EVERY` replaces a number."""
     return find_metric(name.replace(EVERY, "1")) is not None
 
 
@@ -143,7 +143,7 @@ def _bound(count: int, n: int, share: float, looks: Looks | None) -> Estimate:
 
 
 def decide(count: int, n: int, share: float, looks: Looks | None = None) -> str:
-    """Return whether ``count`` of n runs meet a required fraction, at one of several looks at the runs.
+    """Return the verdict on a required fraction if ``count`` of n runs meet it, at one of several looks.
 
     Examples
     --------

@@ -22,7 +22,7 @@ _SURE = 0.95  # probability of each bound
 
 @dataclass(frozen=True, slots=True)
 class Watched:
-    """Errors and reported levels of R runs of M epochs, at equal intervals."""
+    """Position errors, protection levels and alarms of R runs of M epochs, at equal intervals."""
 
     interval: float  # [s]
     error: FloatArray  # (R, M) size of the position error [m]; NaN: no solution
@@ -32,17 +32,17 @@ class Watched:
 
     @property
     def alert(self) -> BoolArray:
-        """Epochs at which the pilot is warned: an alarm, or a level beyond the limit."""
+        """Return a mask of the epochs with an alert for the pilot: an alarm, or a level beyond the limit."""
         return np.asarray(self.alarm | ~(self.level <= self.limit))
 
     @property
     def misleading(self) -> BoolArray:
-        """Return where the error is larger than the level and no alarm tells."""
+        """Return a mask of the epochs with an error larger than the level and no alarm."""
         return np.asarray(~self.alarm & ~(self.error <= self.level))
 
     @property
     def hazardous(self) -> BoolArray:
-        """Return where it is, and beyond the alert limit that the level is within."""
+        """Return a mask of the misleading epochs without alert and with an error beyond the alert limit."""
         return np.asarray(self.misleading & ~self.alert & ~(self.error <= self.limit))
 
 
@@ -52,10 +52,10 @@ def estimate_per_run(happened: BoolArray) -> Estimate:
 
 
 def count_detected(watched: Watched, within: float) -> tuple[int, int]:
-    """Return the runs whose error went beyond the limit, and those of them with an alert each time.
+    """Return the number of runs with an error beyond the limit, and of these runs with every alert in time.
 
     The errors of a run have one cause, so a run counts once. An alert is in time if it comes at most
-    ``within`` seconds after the first epoch beyond the limit; an earlier one counts if it lasts until then.
+    ``within`` seconds after the first epoch beyond the limit; an earlier alert counts if it lasts until then.
     """
     late = round(within / watched.interval)
     beyond, alert = ~(watched.error <= watched.limit), watched.alert
@@ -81,7 +81,7 @@ def count_windows(watched: Watched, window: float) -> tuple[BoolArray, BoolArray
 
 @dataclass(frozen=True, slots=True)
 class JudgedFigure:
-    """A figure held against what is required: bounds of 95 % to each side, by flights as trials."""
+    """A value compared with its requirement: bounds of 95 % to each side, with flights as trials."""
 
     found: Estimate
     word: str  # MET, MISSED or UNDECIDED
@@ -110,9 +110,9 @@ def judge_rate(events: int, hours: float, most: float) -> JudgedFigure:
 
 
 def judge_share(inside: BoolArray, least: float, hours: float) -> JudgedFigure:
-    """Evaluate the share of the time that something holds (R, M), each of R flights a trial.
+    """Evaluate the fraction of the time in which a condition (R, M) holds, each of R flights a trial.
 
-    If it holds always, as many flights as ``ln 0.05 / ln least`` show it: one that is bad might be as rare.
+    If it always holds, ``ln 0.05 / ln least`` flights are needed: a single bad flight might be as rare.
     """
     found = estimate_fraction(inside, 2.0 * _SURE - 1.0)
     if found.low >= least:

@@ -1,4 +1,4 @@
-"""Measured units of a baseline: the runs of a profile, or the segments of a recording."""
+"""Measured runs of a baseline: the runs of a profile, or the segments of a recording."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ STRETCHES = 20
 
 @dataclass(frozen=True, slots=True)
 class EstimatorDraw:
-    """Values of a filter in one run."""
+    """Metrics of a filter in one run."""
 
     converged: bool
     reason: str  # why it did not converge
@@ -163,10 +163,10 @@ _warm = set[str]()  # what filters of this process have run already
 
 
 def measure_cpu(result: RunResult) -> dict[str, Value]:
-    """Return the CPU time of each filter over that of `free-inertial` on the same record [1].
+    """Return the CPU time of each filter over the CPU time of `free-inertial` on the same record [1].
 
-    The strapdown alone is a unit that fast and slow machines, long and short flights share; the least of
-    three counts. None for a filter that has failed, or that has just been loaded, and compiled perhaps.
+    The strapdown alone is a unit shared by fast and slow machines, long and short flights; the least of three
+    times counts. None for a filter that failed, or that was just loaded and perhaps compiled.
     """
     sensed = result.records["sensed"]
     unit, spent = build_estimator(EstimatorChoice(_UNIT, _UNIT)), list[float]()
@@ -184,7 +184,7 @@ def measure_cpu(result: RunResult) -> dict[str, Value]:
 
 
 def collect_draw(result: RunResult, label: str) -> EstimatorDraw:
-    """Return the metrics that baselines hold, after the alignment window; none if the filter failed."""
+    """Return the metrics that baselines contain, after the alignment window; empty if the filter failed."""
     values, errors, first = result.metrics[label], result.errors[label], result.evaluation.first
     metrics = {name: x for name, x in values.items() if is_watched(name) and not values.get("failed")}
     expected = {"nees_mean": float(errors.states)}
@@ -229,7 +229,7 @@ class Recording:
 
     @cached_property
     def result(self) -> RunResult:
-        """The solutions, made when first asked for."""
+        """Return the solutions, made at the first access."""
         return log_pipeline.navigate(self.log)
 
     def prepare(self) -> None:
@@ -244,7 +244,7 @@ class Recording:
 
 
 def collect_stretch(result: RunResult, label: str, draw: int, start: float, end: float) -> EstimatorDraw:
-    """Return RMSE and mean NEES over one of the `STRETCHES` of a log, evaluated from start to end [s]."""
+    """Return RMSE and mean NEES in segment ``draw`` of the `STRETCHES` of a log between start and end [s]."""
     errors, values = result.errors[label], result.metrics[label]
     edges = start + (end - start) / STRETCHES * np.arange(draw, draw + 2)
     inside = (errors.t >= edges[0] - SAME_INSTANT) & (errors.t < edges[1] - SAME_INSTANT)

@@ -35,7 +35,7 @@ Value = float | None
 
 
 class EstimatorValues(Table):
-    """Values of one filter, by run."""
+    """Metrics of one filter, by run."""
 
     epochs: Annotated[int, Field(ge=0)]  # evaluated in each run
     expected: dict[str, float]  # metric -> its value for a consistent filter

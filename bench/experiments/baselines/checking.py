@@ -181,7 +181,7 @@ def record_baselines(
 
 
 def _name_sources(given: Sequence[str], baselines: Mapping[str, Baseline]) -> dict[str, str]:
-    """Return profiles and logs by name, a bare name as that of its baseline; ConfigError if two share one."""
+    """Return profiles and logs by name, a bare name as its baseline source; ConfigError if names clash."""
     named: dict[str, str] = {}
     for source in given:
         name = get_name(source)
@@ -217,7 +217,7 @@ def _open(
 
 
 def has_cpu(baseline: Baseline) -> bool:
-    """Return whether a baseline holds CPU times."""
+    """Return whether a baseline contains CPU times."""
     return any(CPU in values.metrics for values in baseline.estimators.values())
 
 

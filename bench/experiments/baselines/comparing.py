@@ -43,7 +43,7 @@ _MANY = 1_000_000  # epochs: the share of a campaign's run is compared as it is
 
 @dataclass(frozen=True)
 class Side:
-    """Content of one of the compared folders."""
+    """Contents of a folder in a comparison."""
 
     name: str
     draws: Mapping[str, Baseline]  # by profile
@@ -200,7 +200,7 @@ def _describe_flight(document: Mapping[str, Any]) -> str:
 
 
 def _collect_row(row: Mapping[str, Any]) -> EstimatorDraw:
-    """Return what a filter achieved in a run of a campaign; its rows do not say what NIS to expect."""
+    """Return the metrics of a filter in a run of a campaign, without NIS: rows lack its expected value."""
     watched = {
         name: value
         for name, value in row.items()
@@ -345,7 +345,7 @@ def _compare_single(old: Baseline, new: Baseline, name: str) -> Iterator[Uncorre
 
 
 def _describe(estimator: str, row: Verdict | None, first: str, other: str) -> str:
-    """Return the row of the horizontal error in words: the sentence says no more than the table."""
+    """Describe the verdict on the horizontal error, without adding to the table."""
     if row is None:
         return f"{estimator}: no horizontal error to compare"
     old, new = (f"{format_number(value)} m in {name}" for value, name in ((row.old, first), (row.new, other)))

@@ -49,7 +49,7 @@ def check_required(path: Path | None, required: object) -> None:
 
 
 def write_requirements(path: Path, suite: str, findings: Sequence[Finding]) -> None:
-    """Write a test case for each requirement; one that is not met is a failure.
+    """Write a test case for each requirement; a requirement that is not met is a failure.
 
     Raises
     ------
@@ -74,7 +74,7 @@ def _write(path: Path, root: ElementTree.Element) -> None:
 
 
 def _add(parent: ElementTree.Element, tag: str, **attributes: object) -> ElementTree.Element:
-    """Add an element; XML has no control characters, which the name of a profile's file may hold."""
+    """Add an element without control characters, which XML forbids and the name of a profile may contain."""
     named = {name: one_line(str(value)) for name, value in attributes.items()}
     return ElementTree.SubElement(parent, tag, named)
 

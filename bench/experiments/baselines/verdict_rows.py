@@ -103,10 +103,10 @@ class UncorrectedVerdict:
 
 
 def decide(candidates: Sequence[UncorrectedVerdict], error: float = ERROR / len(LOOKS)) -> list[Verdict]:
-    """Return the verdicts of a whole check at one look, with a probability of any false one of ``error``.
+    """Return the verdicts of a whole check at one look, with the family-wise error probability ``error``.
 
     A metric is worse (or better) if its change is beyond the tolerance and its Holm-corrected interval
-    excludes zero. Beyond the tolerance without that, it is undecided.
+    excludes zero. If the change is beyond the tolerance and the interval contains zero, it is undecided.
     """
     open_rows = [k for k, one in enumerate(candidates) if not one.certain]
     rejected, levels = regression.reject_by_holm([candidates[k].p_value for k in open_rows], error)
@@ -198,7 +198,7 @@ def _compare_events(
     match: str,
     reasons: Sequence[str] = (),
 ) -> UncorrectedVerdict:
-    """Compare how often something good happens; ``reasons`` by draw say why it did not."""
+    """Compare the rates of a success before and after; ``reasons`` by run explain why it did not happen."""
     notes = []
     paired = _are_pairs(match)
     lost = which[before & ~after if paired else ~after]

@@ -54,7 +54,7 @@ class Pool(Protocol):
         """Let the workers find flown truths in the cache of their machine."""
 
     def recover(self) -> tuple[str, bool]:
-        """Replace what a lost worker broke; return how it ended, and whether all futures were lost."""
+        """Replace a broken pool; return how the worker ended, and whether all futures failed."""
 
 
 def compute(
@@ -137,7 +137,7 @@ class Pace:
         self._seconds += seconds
 
     def choose_size(self, waiting: int, workers: int) -> int:
-        """Return how many of the waiting items the next batch holds."""
+        """Return the number of waiting items in the next batch."""
         if not self._seconds:
             return 1
         fits = int(BATCH * self._items / self._seconds)

@@ -47,7 +47,7 @@ class CampaignTable(Table):
 
 @dataclass(frozen=True)
 class CampaignSpec:
-    """Varied values of a campaign."""
+    """Profiles, runs, filters and varied values of a campaign."""
 
     name: str
     profiles: tuple[str, ...]

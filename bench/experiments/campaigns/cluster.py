@@ -98,7 +98,7 @@ class ClusterPool:
         self._client.close()
 
     def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
-        """Begin a call of a function in a worker whose software is that of the driver."""
+        """Begin a call of a function in a worker with the same software as the driver."""
         with self._reach():
             future: Future[Any] = self._executor.submit(call, self._software, function, *arguments)
         return future
@@ -116,7 +116,7 @@ class ClusterPool:
             raise WorkersLostError(f"no worker for {_PATIENCE:g} s; {_KEPT}")
 
     def share(self, keys: Sequence[str]) -> None:
-        """Write truths of the driver's cache into those of other machines, once for each."""
+        """Write truths from the driver's cache into the caches of other machines, once for each machine."""
         for key in keys:
             with self._reach():
                 machines = self._client.run(find_truth, key)

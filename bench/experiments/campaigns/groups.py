@@ -59,7 +59,7 @@ class Group:
 
 
 def gather(plan: Plan, journal: Journal) -> Iterator[Group]:
-    """Yield the groups in the order of the plan; those of one condition are in memory."""
+    """Yield the groups in the order of the plan; only the groups of one condition are in memory."""
     for number, runs in itertools.groupby(plan.runs, lambda one: plan.cells[one.cell].condition):
         keys = [key for one in runs if (key := plan.run_key(one)) in journal]
         cells = [cell for cell in plan.cells if cell.condition == number]
@@ -111,7 +111,7 @@ def gather_condition(
 
 
 def _stack(runs: Sequence[FloatArray]) -> Any:
-    """Return the runs (M, C) as one array (R, M, C); those of shorter flights end with NaN."""
+    """Return the runs (M, C) as one array (R, M, C), with NaN after the end of shorter flights."""
     stacked = np.full((len(runs), max(map(len, runs)), len(CHANNELS)), np.nan, np.float32)
     for k, values in enumerate(runs):
         stacked[k, : len(values)] = values

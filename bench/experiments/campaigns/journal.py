@@ -34,7 +34,7 @@ def _whole_instants(text: str) -> str:
 
 
 def _sound_metrics(metrics: dict[str, Any]) -> dict[str, Any]:
-    """Return metrics that are what their names say."""
+    """Return metrics of a valid type and size; raise a ValueError for others."""
     wrong = [
         name
         for name, value in metrics.items()
@@ -51,7 +51,7 @@ class _JournalRow(BaseModel):
 
 
 class _Estimated(_JournalRow):
-    """Values of a filter in a run (`worker.measure`)."""
+    """Metrics of a filter in a run (`worker.measure`)."""
 
     metrics: Annotated[dict[str, float | int | bool | str | list[Any] | dict[str, Any] | None],
                        AfterValidator(_sound_metrics)]  # fmt: skip

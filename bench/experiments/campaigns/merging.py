@@ -12,7 +12,7 @@ from bench.experiments.campaigns.plan import Condition
 
 
 def merge_campaigns(campaigns: Mapping[str, Campaign]) -> Campaign:
-    """Return one campaign that holds the filters of several, each with the name of its campaign.
+    """Return one campaign with the filters of several, each filter with the name of its campaign.
 
     The conditions are those that all have in common. Campaigns of one condition each are merged whatever
     it is; the merged one describes the flight of the first.

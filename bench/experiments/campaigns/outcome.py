@@ -31,7 +31,7 @@ _LEAST = 2  # runs that have an interval
 
 @dataclass(frozen=True)
 class Outcome:
-    """The statistics of one filter over runs; those of errors are over the runs that converged."""
+    """Statistics of one filter over runs; statistics of errors are over the runs that converged."""
 
     condition: str  # its name
     label: str
@@ -55,7 +55,7 @@ class Outcome:
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """Return what the figures mean."""
+        """Return the results in sentences."""
         rate, bad = self.converged, self.runs - self.converged_runs
         least, most = (format_number(100 * (1 - end), 2) for end in (rate.high, rate.low))
         found = [
@@ -171,7 +171,7 @@ def pool_nis(group: Group) -> dict[str, MeanNis]:
 
 @dataclass(frozen=True, slots=True)
 class CampaignStage(Stage):
-    """Progress of a campaign; ``done`` counts the runs of its journal, too.
+    """Progress of a campaign; ``done`` includes the runs of its journal.
 
     Attributes
     ----------
@@ -260,14 +260,14 @@ class Campaign:
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """Return what the figures mean."""
+        """Return the results in sentences."""
         own = (text for outcome in self.outcomes for text in outcome.sentences)
         required = (one.sentence for one in self.requirements)
         return (*own, *(f"by horizontal RMSE, {one.sentence}" for one in self.comparisons), *required)
 
     @property
     def requirements(self) -> tuple[Finding, ...]:
-        """Return whether the runs keep what is required, of each condition and estimator."""
+        """Return the verdicts on the requirements, for each condition and filter."""
         if not any("requirement" in condition["as_flown"] for condition in self.conditions):
             return ()
         every, found = self.runs.to_pylist(), list[Finding]()

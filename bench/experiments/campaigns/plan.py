@@ -37,7 +37,7 @@ _MOST_NAMED = 200  # files that wrappers name
 
 @dataclass(frozen=True)
 class Condition:
-    """Condition of statistics: a profile with some values replaced."""
+    """A condition, for which statistics are computed: a profile with some values replaced."""
 
     source: str  # the profile, as it was named
     values: Values  # that distinguish it from the other conditions
@@ -227,7 +227,7 @@ def hash_estimator(plan: Plan, label: str) -> str:
 
 
 def find_sources(choice: EstimatorChoice) -> list[Path]:
-    """Return the files of a filter: those of its package or module, or of its program."""
+    """Return the source files of a filter: its package or module, or the files of its program."""
     kind, _, rest = choice.use.partition(":")
     if kind == "command":
         try:

@@ -1,4 +1,4 @@
-"""The workers of a campaign: processes on this machine, or those of any executor."""
+"""The workers of a campaign: processes on this machine, or workers of any executor."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _STOPPED = (-signal.SIGTERM, 128 + signal.SIGTERM)  # exit codes of a worker tha
 
 
 class _LocalPool:
-    """Workers that read the cache of the driver, and that cannot all be lost undetected."""
+    """Workers that read the cache of the driver; the loss of all workers is always detected."""
 
     remote = False
 
@@ -51,7 +51,7 @@ class SerialExecutor(Executor):
 
 
 class ExecutorPool(_LocalPool):
-    """The workers of an executor of somebody else, who starts it, ends it and replaces its workers."""
+    """Workers of an executor of the caller; the caller starts it, ends it and replaces its workers."""
 
     lost: tuple[type[BaseException], ...] = ()
 
@@ -113,7 +113,7 @@ class ProcessPool(_LocalPool):
         return future
 
     def recover(self) -> tuple[str, bool]:
-        """Drop the executor that a lost worker broke; return how that worker ended."""
+        """End the executor with the worker that ended; return how that worker ended."""
         deadline = time.monotonic() + PATIENCE
         codes: list[int] = []
         while not codes and time.monotonic() < deadline:

@@ -160,7 +160,7 @@ def run_campaign(
     resume: bool = False,
     progress: Progress | None = None,
 ) -> Campaign:
-    """Run what a plan holds and return its tables and sentences.
+    """Run a campaign plan and return its tables and sentences.
 
     The result does not depend on the number of processes or the order in which runs finish. After Ctrl-C it
     is that of the runs that are finished.
@@ -248,7 +248,7 @@ def choose_pool(
 
 
 def _work(plan: Plan, journal: Journal, pool: Pool, printed: Printed, progress: Progress) -> None:
-    """Run what the journal does not hold, write each finished run into it, and keep what filters print."""
+    """Execute the runs missing in the journal, write each finished run to it, and keep printed output."""
     todo: dict[int, list[PlannedRun]] = {}
     for planned in plan.runs:
         key = plan.run_key(planned)

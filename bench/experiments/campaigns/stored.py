@@ -59,7 +59,7 @@ class _StoredConsistency(_StoredPart):
 
 
 class StoredOutcome(_StoredPart):
-    """The outcome of one filter under one condition, as the summary holds it."""
+    """The outcome of one filter under one condition, as stored in the summary."""
 
     condition: str
     label: str
@@ -104,7 +104,7 @@ class _StoredCondition(_StoredPart):
 
 
 class _StoredSummary(_StoredPart):
-    """Part of `campaign.json` that is read."""
+    """The part of `campaign.json` that is read."""
 
     planned: NonNegativeInt
     finished: NonNegativeInt

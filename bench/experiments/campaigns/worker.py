@@ -1,4 +1,4 @@
-"""One run of a campaign in a worker, and the values kept."""
+"""Work of a campaign worker: execute one run and keep its results."""
 
 from __future__ import annotations
 
@@ -119,7 +119,7 @@ class _Keyed:
 
 
 def get_truth(key: str, profile: Profile) -> Trajectory:
-    """Return the truth of a profile by its key, mapped from the cache; that of the last call is kept open."""
+    """Return the truth of a profile by its key, mapped from the cache; the last truth stays open."""
     return _read_truth(_Keyed(key, profile))
 
 
@@ -149,7 +149,7 @@ def _collect(result: RunResult, label: str, task: RunTask) -> dict[str, Any]:
 
 
 def hash_answers(solution: NavSolution) -> str:
-    """Return a hash of what a solution says, every bit: times, position, velocity, attitude, covariance."""
+    """Return a hash of all bits of a solution: times, position, velocity, attitude, covariance."""
     digest = hashlib.sha256()
     for column in (solution.t, solution.lla, solution.vel_n, solution.q_nb, solution.cov):
         digest.update(np.ascontiguousarray(column).data)
@@ -157,7 +157,7 @@ def hash_answers(solution: NavSolution) -> str:
 
 
 def is_plain(value: object) -> bool:
-    """Return whether JSON holds a value as it is."""
+    """Return whether JSON can contain a value unchanged."""
     return (
         isfinite(value) if isinstance(value, float) else value is None or isinstance(value, bool | int | str)
     )

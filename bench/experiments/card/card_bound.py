@@ -1,4 +1,4 @@
-"""Error bound of the best linear causal filter on a flight of the suite."""
+"""Errors of the best linear causal filter on a flight of the suite: the bound for the errors."""
 
 from __future__ import annotations
 

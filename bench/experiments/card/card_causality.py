@@ -1,7 +1,7 @@
-"""The line of a card that says how far a filter looks ahead.
+"""The line of a card with the time by which a filter looks ahead.
 
-What is proven is what the card evaluates: runs of the suite, whose answers have to be those of the card.
-Which ones follows from all that was answered, so that a filter cannot know it while it answers.
+The test covers what the card evaluates: it repeats runs of the suite and compares their answers with those of
+the card. The choice of runs depends on all answers, so that a filter cannot know it in advance.
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ def hash_all_answers(own: Rows) -> str:
 
 
 def judge_causality(plan: Plan, suite: Suite, label: str, own: Sequence[Rows]) -> Line:
-    """Return how far a filter looks ahead, on the flight whose fixes come late and on drawn ones.
+    """Return how far a filter looks ahead, on the flight with late fixes and on randomly chosen flights.
 
-    Each run of a class of others has a process of its own: what it has seen in another run cannot tell it the
-    future of this one. ``own`` holds its rows of each flight.
+    Each run of a foreign filter class has its own process, so that data seen in another run cannot reveal the
+    future of this run. ``own`` contains its rows of each flight.
     """
     names = [flight.name for flight in suite.members]
     number = names.index(LATE) if LATE in names else 0

@@ -196,7 +196,7 @@ def _count_lost(pairs: list[_Pair]) -> tuple[int, int]:
 
 
 def _tell_lost(names: tuple[str, str], one: Line, change: Change, lost: tuple[int, int]) -> ComparedLine:
-    """Say that a filter is better only in the runs that it has not lost: it may lose the worst."""
+    """Return the line for a filter better in common runs only: its worst runs may have diverged."""
     k = int(change.estimate > 0.0)
     text = (
         f"{names[k]} is better in the runs that both have, but lost {lost[k]} that {names[1 - k]} kept: "
@@ -215,7 +215,7 @@ def tell_change(
     level: float,
     differs: bool | None,
 ) -> ComparedLine:
-    """Return the line of a change; ``differs`` is None where no test is made, and nothing is said."""
+    """Return the line of a change; ``differs`` None means that no test is made and no verdict given."""
     low, high = change.interval(level)
     ratio, least, most = (write_figure(float(np.exp(end))) for end in (change.estimate, low, high))
     name = names[0] if change.estimate < 0.0 else names[1]
@@ -237,7 +237,7 @@ def tell_change(
 
 
 def find_power(change: Change, level: float) -> str:
-    """Return the ratio that these runs tell from 1, in words."""
+    """Return the smallest ratio that these runs distinguish from 1, in words."""
     from scipy.special import stdtrit
 
     reach = float(stdtrit(change.dof, 1.0 - 0.5 * level) + stdtrit(change.dof, _POWER))

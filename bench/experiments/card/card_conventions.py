@@ -1,4 +1,4 @@
-"""The line of a card that says which wrong convention a filter of broken covariance looks like."""
+"""The line of a card with the wrong convention that fits a filter with a broken covariance."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The lines of a card: what the runs of a flight say of a filter, in a figure and a sentence each."""
+"""The lines of a card: the results of a filter in the runs of a flight, a value and a sentence each."""
 
 from __future__ import annotations
 
@@ -157,7 +157,7 @@ def _answers(row: Mapping[str, Any]) -> bool:
 def compare_errors(
     flight: SuiteFlight, own: Rows, other: Rows, label: str, bound: tuple[Mapping[str, float], str]
 ) -> list[Line]:
-    """Return errors as ratios to those of another filter on the same runs, and to the bound."""
+    """Return errors as ratios to the errors of another filter on the same runs, and to the bound."""
     lines = []
     for topic, (figure, start, end) in ERRORS.items():
         if topic == "faults" and flight.without:
@@ -204,7 +204,7 @@ def compare_bound(values: Sequence[float | None], bound: float | None) -> tuple[
 
 
 def list_values(row: Mapping[str, Any]) -> dict[str, float | None]:
-    """Return what the lines of a flight hold of a run, by topic."""
+    """Return the values of a run in the lines of a flight, by topic."""
     found = {
         topic: pool_names([row], find_names([row], start, end))[0]
         for topic, (_, start, end) in ERRORS.items()
@@ -213,7 +213,7 @@ def list_values(row: Mapping[str, Any]) -> dict[str, float | None]:
 
 
 def _normalize(row: Mapping[str, Any]) -> float | None:
-    """Return NEES over its expectation; None without one, or if the run is lost."""
+    """Return NEES over its expectation; None without NEES, or if the run did not converge."""
     mean = row.get("nees_mean") if row["converged"] else None
     return None if mean is None else float(mean / row["nees_states"])
 
@@ -317,7 +317,7 @@ def judge_heading(flight: SuiteFlight, own: Rows) -> list[Line]:
 
 
 def measure_speed(own: Sequence[float], yardstick: Sequence[float], label: str) -> Line | None:
-    """Return the CPU time as a multiple of that of the yardstick in the same runs."""
+    """Return the CPU time as a multiple of the CPU time of the yardstick in the same runs."""
     if not own:
         return None
     found = ensemble.estimate_quantile(np.array(own) / np.array(yardstick), 0.5)

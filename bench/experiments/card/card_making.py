@@ -1,4 +1,4 @@
-"""The card of a filter: what a fixed suite of flights says of it, beside a built-in filter."""
+"""The card of a filter: its results on a fixed suite of flights, beside a built-in filter."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class LostDraw(Table):
 
 
 class Card(Table):
-    """Scores of a filter on the suite; equal inputs give equal lines."""
+    """Results of a filter on the suite; equal inputs give equal lines."""
 
     format: int = FORMAT
     estimator: str
@@ -144,7 +144,7 @@ class Card(Table):
 
     @property
     def good(self) -> bool:
-        """Return whether every run converged, it is proven not to look ahead, and what is required is met."""
+        """Return whether runs converged and are causal, none beats the bound, and requirements are met."""
         return (
             not self.lost
             and all(line.value in (0.0, None) for line in self.lines if line.topic == "causality")
@@ -154,7 +154,7 @@ class Card(Table):
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """Return whether it keeps what is required, by flight."""
+        """Return the verdicts on the requirements, by flight."""
         return tuple(
             Finding(f"{line.flight}: {self.estimator}", line.figure, line.word, line.sentence)
             for line in self.lines

@@ -1,4 +1,4 @@
-"""Requirements of the user on a filter: a file of rows ``[[requirement]]``."""
+"""Requirements of the user on a filter on the flights of the suite: a file of rows ``[[requirement]]``."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ class SuiteFlight:
 
 @dataclass(frozen=True)
 class Suite(CampaignSpec):
-    """Flights that a card stands on."""
+    """Flights of a card."""
 
     members: tuple[SuiteFlight, ...] = ()
 

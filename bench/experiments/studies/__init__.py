@@ -21,7 +21,7 @@ from bench.core.files.installed import (
 
 
 class StudyEntry(NamedTuple):
-    """Module of a study, and its question."""
+    """Module and question of a study."""
 
     module: str
     question: str
@@ -39,7 +39,7 @@ STUDIES: Mapping[str, StudyEntry] = dict(_declared())
 
 
 def find_studies() -> dict[str, StudyEntry]:
-    """Return the studies by name, those of other packages last; these are not imported."""
+    """Return the studies by name, studies of packages last; no package is imported."""
     added = find_installed("studies", STUDIES)
     return {**STUDIES, **{name: StudyEntry(one.place, f"of {one.package}") for name, one in added.items()}}
 

@@ -142,7 +142,7 @@ def _choose(profile: Profile) -> str:
 
 
 def _stack(variance: FloatArray, quantity: Quantity) -> FloatArray:
-    """Return the variance of a quantity by source (M, S) from that of the states (M, 9, S)."""
+    """Return the variance of a quantity by source (M, S) from the variances of the states (M, 9, S)."""
     return np.asarray(variance[:, quantity.states].sum(axis=1)) / quantity.scale**2
 
 
@@ -206,7 +206,7 @@ def pair_variances(
 
 
 def judge_ratio(low: float, high: float) -> str:
-    """Return whether a ratio of variances in an interval is 1: "yes", "no", or "cannot tell" if it is wide.
+    """Return "yes" if a ratio of variances in an interval is 1, else "no", or "cannot tell" if it is wide.
 
     Examples
     --------

@@ -147,7 +147,7 @@ class LinearFlight:
         return Phi, G
 
     def measure(self, sig: Sigmas, k: int) -> tuple[FloatArray, FloatArray]:
-        """Return H and R of the seven rows at second k, of the barometer alone once GNSS is lost."""
+        """Return H and R of the seven rows at second k, or of the barometer row alone without GNSS."""
         rows = list(range(7)) if k <= LOST else [0]
         Q = observation_model.measurement_noise(sig, *self.reduced, k % _JUMPS == 0)
         return observation_model.measurement_matrix()[rows], (Q @ Q.T)[np.ix_(rows, rows)]

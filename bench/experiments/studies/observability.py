@@ -121,7 +121,7 @@ def tabulate_phases(seen: Observed, phases: list[tuple[str, int, int]]) -> Findi
 
 
 def _instants(seen: Observed, phases: list[tuple[str, int, int]]) -> dict[str, int]:
-    """Return the rows at which directions are told: around the first turn, and at the end."""
+    """Return the rows at which directions are reported: around the first turn, and at the end."""
     found = {}
     for name, a, b in phases:
         if name == "turn":

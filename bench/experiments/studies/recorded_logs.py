@@ -92,7 +92,7 @@ def run(options: Options, work: StudyWorkers) -> Findings:
 
 
 def find_logs(given: Sequence[str]) -> list[Path]:
-    """Return the logs of files and folders, those of a folder by name.
+    """Return the logs of files and folders, logs of a folder by name.
 
     Raises
     ------
@@ -114,7 +114,7 @@ def find_logs(given: Sequence[str]) -> list[Path]:
 
 
 def name_logs(paths: Sequence[Path]) -> list[str]:
-    """Return a name for each log: that of its file, with as many folders as tell it from the others."""
+    """Return a name for each log: its file name, with as many folders as make all names unique."""
     for depth in range(1, max(len(path.resolve().parts) for path in paths) + 1):
         names = ["/".join(path.resolve().with_suffix("").parts[-depth:]) for path in paths]
         if len(set(names)) == len(names):

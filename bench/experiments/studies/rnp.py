@@ -285,7 +285,7 @@ def leave_out(sensed: Sensed) -> Iterator[Sensed]:
 def _list_rows(
     errors: dict[str, FloatArray], planes: list[Watched], options: Options
 ) -> Iterator[dict[str, Any]]:
-    """Yield the rows of the lines that are asked for (A-2.1.5)."""
+    """Yield the rows of the requested lines (A-2.1.5)."""
     makers = {
         "accuracy": lambda: _list_accuracy(errors, options.rnp_nm * _NM),
         "containment": lambda: _list_containment(errors, options.rnp_nm * _NM),
@@ -351,7 +351,7 @@ def list_continuity(planes: list[Watched], options: Options) -> Iterator[dict[st
 
 
 def _list_integrity(planes: list[Watched], options: Options) -> Iterator[dict[str, Any]]:
-    """Yield the rate of flights that mislead hazardously, and how many tell their errors beyond the limit."""
+    """Yield the rate of hazardously misleading flights, and the rate of alerts if the limit is exceeded."""
     for plane, watched in zip(PLANES, planes, strict=True):
         hours = hours_flown(watched.error.shape, _INTERVAL)
         judged = judge_rate(int(watched.hazardous.any(axis=1).sum()), hours, OUTSIDE_PER_HOUR)
@@ -423,7 +423,7 @@ def _tell(
 
 
 def _mean_square(values: FloatArray) -> float:
-    """Return that of what is known, without flights that have crashed."""
+    """Return the mean of the squares of the finite values, without flights that have crashed."""
     return float(np.mean(np.square(values[np.isfinite(values)])))
 
 

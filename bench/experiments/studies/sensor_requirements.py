@@ -163,7 +163,7 @@ def simulate(error: float, t: FloatArray, lat: float) -> FloatArray:
 
 
 def _navigate_at_rest(lat: float, n: int, gyro: FloatArray, accel: FloatArray) -> FloatArray:
-    """Return latitude, longitude [rad] and height [m] (n + 1, 3) of a strapdown with biases, height held."""
+    """Return latitude, longitude [rad], height [m] (n + 1, 3) of a strapdown with biases; height is fixed."""
     w = np.array([earth.EARTH_RATE * np.cos(lat), 0.0, -earth.EARTH_RATE * np.sin(lat)]) + gyro
     f = -earth.gravity_n(lat, 0.0) + accel
     nav = np.array([[lat, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]])

@@ -117,7 +117,7 @@ class UnitOptions(FlightOptions):
 
     @property
     def imu(self) -> str | None:
-        """The unit of options from `ask_each`; None: that of the profile."""
+        """Return the IMU of options from `ask_each`; None selects the IMU of the profile."""
         return self.units[0] if self.units else None
 
     @property

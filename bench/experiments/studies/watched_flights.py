@@ -12,7 +12,7 @@ from bench.core.mathematics.arrays import BoolArray, FloatArray
 
 @dataclass(frozen=True, slots=True)
 class WatchedFlight:
-    """Result of one run of M epochs."""
+    """Errors, protection levels and alarms of one run of M epochs."""
 
     t: FloatArray  # (M,) [s]
     error: FloatArray  # (M, 2) horizontal, vertical [m]

@@ -1,13 +1,13 @@
-"""Find the logarithms of factors that make a mean cost over runs least, and how well the runs tell each.
+"""Find the factors that minimize a mean cost over runs, as logarithms, and their confidence intervals.
 
-The cost of a run is any score whose mean is least at the right factors. The search is COBYQA, a trust
-region with quadratic models (Ragonneau, Model-based derivative-free optimization methods and software,
-thesis, Hong Kong Polytechnic University, 2022), from several starts. Intervals need no model of the costs.
-Along the path on which one factor moves and the others follow, each run has a slope; its mean over runs
-is zero at the truth. The interval holds the places where Student's t does not tell the mean slope from
-zero: a score test whose variance comes from the runs (White, Maximum likelihood estimation of misspecified
-models, Econometrica 50, 1982; Boos, On generalized score tests, American Statistician 46, 1992). A factor
-without effect has no end.
+The cost of a run is any score with its mean least at the right factors. The search is COBYQA, a trust region
+with quadratic models (Ragonneau, Model-based derivative-free optimization methods and software, thesis, Hong
+Kong Polytechnic University, 2022), from several starts. Intervals need no model of the costs. Along the path
+on which one factor moves and the others follow, each run has a slope; its mean over runs is zero at the
+truth. The interval contains the points at which Student's t does not separate the mean slope from zero: a
+score test with its variance from the runs (White, Maximum likelihood estimation of misspecified models,
+Econometrica 50, 1982; Boos, On generalized score tests, American Statistician 46, 1992). The interval of a
+factor without effect has no end.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _CONFIDENCE = 0.95
 
 @dataclass(frozen=True)
 class FoundFactor:
-    """Minimum of a mean cost."""
+    """Minimum of a mean cost, with intervals of the factors."""
 
     x: FloatArray  # (n,) logarithms of the factors
     low: FloatArray  # (n,) ends of the 95 % intervals; infinite: none is told; NaN: not searched
@@ -167,10 +167,10 @@ def step_to_valley(tried: Tried, x: FloatArray) -> tuple[FloatArray, FloatArray]
 
 
 def walk(tried: Tried, x: FloatArray, path: FloatArray, k: int, edge: float) -> float:
-    """Return the logarithm of factor k where the slope of the runs is told from zero; infinite if nowhere.
+    """Return the logarithm of factor k at which the t value of the slope passes ``edge``, or infinity.
 
-    Slopes are differences between places on the path, those of their middles; between two middles Student's
-    t is linear.
+    Slopes are differences between points on the path and apply at their middles; between two middles
+    Student's t is interpolated linearly.
     """
     side, step, reached = path[k], _FIRST, 0.0
     costs, before = tried.draws(x), (0.0, 0.0)  # middle and its t

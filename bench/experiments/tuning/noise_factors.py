@@ -54,7 +54,7 @@ class Tuning:
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """Return what was found."""
+        """Return the results in sentences."""
         found = [self._describe_search()]
         found += [
             _describe_factor(name, factor, *self.intervals[name], told=self.converged)

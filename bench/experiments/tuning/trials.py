@@ -1,4 +1,4 @@
-"""Data for tuning: runs of a profile, or a recorded log."""
+"""Data for tuning a filter: runs of a profile, or a recorded log."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ _LOST = 1e6  # cost of a run without finite errors or covariances
 
 @dataclass(frozen=True)
 class HeldOutScore:
-    """Scores of a filter on data that were not used for tuning, with 95 % intervals."""
+    """Errors and NEES of a filter on data that were not used for tuning, with 95 % intervals."""
 
     rmse_h_m: Estimate
     nees_ratio: Estimate  # mean NEES over its expectation; 1 is right
@@ -122,7 +122,7 @@ class ProfileTrial:
 
 
 class LogTrial:
-    """A log: the withheld fixes of its first half tune, those of its second half judge."""
+    """A log: the withheld fixes of its first half tune, the withheld fixes of its second half evaluate."""
 
     def __init__(
         self, source: str, estimator: str, overrides: Mapping[str, Any], *, allow_code: bool, guard: Guard
@@ -199,7 +199,7 @@ def measure_costs(task: RunTask) -> dict[str, Any]:
 
 
 def limit_cost(value: float) -> float:
-    """Return a cost that a search can take: what is lost costs most."""
+    """Return a finite cost for the search; a diverged run gets the largest."""
     return min(float(value), _LOST) if math.isfinite(value) else _LOST
 
 
@@ -235,7 +235,7 @@ def _stretch_values(
 def _judge(
     mean_squares: FloatArray, nees: FloatArray, repetition: Sequence[Mapping[str, FloatArray]]
 ) -> HeldOutScore:
-    """Return pooled values with intervals; the mean NEES is positive, so its interval is that of a root."""
+    """Return pooled values with intervals; the mean NEES is positive, so its interval is from its root."""
     if len(nees) < _LEAST:
         raise ConfigError("too few runs converged to evaluate the tuned filter")
     root = ensemble.pool_rmse(nees)

@@ -141,7 +141,7 @@ _EXTERNAL = "'module:Class', 'file:SOLUTION', 'command:PROGRAM ...'"  # other fo
 
 
 def is_autopilot(use: str) -> bool:
-    """Return whether a name is that of an autopilot's own estimate: ``autopilot``, ``autopilot:INSTANCE``."""
+    """Return whether a name selects the estimate of an autopilot: ``autopilot``, ``autopilot:INSTANCE``."""
     return use.partition(":")[0] == AUTOPILOT
 
 
@@ -198,7 +198,7 @@ def is_guarded(use: str) -> bool:
 
 
 def is_known(use: str) -> bool:
-    """Return whether a filter is built in, installed, or has one of the forms with a colon."""
+    """Return whether a filter is built in, installed, or named with a colon."""
     return ":" in use or use in BUILT_IN or use in find_installed("estimators", BUILT_IN)
 
 

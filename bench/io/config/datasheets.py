@@ -168,7 +168,7 @@ def _split_axes(document: dict[str, Any]) -> tuple[dict[str, list[AxisFigures]],
 
 
 def _find_axis_figure(triad: str, key: str) -> str | None:
-    """Return the field of `TriadSpec` for a key whose axes may differ; None for other keys."""
+    """Return the field of `TriadSpec` for a key that may have values by axis; None for other keys."""
     every = triad_figures_of(TriadSpec).items()
     return next((field for field, one in every if one.by_axis and key in one.keys(field, triad)), None)
 
@@ -239,7 +239,7 @@ def _read_document(path: Path, shown: str, changes: Mapping[str, Any] | None) ->
 
 
 def _replace_axis(figures: object, shown: str, table: str, key: str, axis: str, value: Any) -> list[Any]:
-    """Return the values of a figure for x, y and z, with one of them replaced."""
+    """Return the values of a parameter for x, y and z, with the value of one axis replaced."""
     if _find_axis_figure(table, key) is None:
         figures_here = triad_figures_of(TriadSpec).items()
         known = [one for field, row in figures_here if row.by_axis for one in row.keys(field, table)]
@@ -266,7 +266,7 @@ def _list_same_figures(table: str, name: str) -> list[str]:
 
 @cache
 def make_sheet_type(kind: str) -> type[Sheet]:
-    """Return the type of the datasheet of an instrument: its table, and those of its parts."""
+    """Return the type of the datasheet of an instrument: its table, and the tables of its parts."""
     row = INSTRUMENTS[kind]
     parts: dict[str, Any] = {name: (make_table_type(spec) | None, None) for name, spec in row.parts.items()}
     rows: dict[str, Any] = {kind: (make_table_type(row.spec), ...), **parts}

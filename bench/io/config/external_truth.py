@@ -19,7 +19,7 @@ _TRACKS = (".gpx", ".kml", ".igc", ".nmea")
 
 
 def find_jsbsim_root(name: str | None, beside: Path) -> Path:
-    """Return a JSBSim root: a folder relative to the profile or, without a name, that of the jsbsim wheel.
+    """Return a JSBSim root: a folder relative to the profile or, without a name, the jsbsim wheel.
 
     Raises
     ------

@@ -99,7 +99,7 @@ def _check_terrain(table: ProfileTable) -> list[str]:
 def check_radar_use(
     table: ProfileTable, terrain: TerrainSpec | None, choices: Sequence[EstimatorChoice]
 ) -> list[str]:
-    """Check that no filter, nor that of guidance, takes heights above hills for ones above the runway."""
+    """Check that no filter, also of guidance, takes heights above hills for heights above the runway."""
     if terrain is None:
         return []
     use = "takes a height for one above the runway: not with [terrain] file"
@@ -133,7 +133,7 @@ def _check_start(table: ProfileTable, aircraft: AircraftSpec) -> list[str]:
 
 
 def fill_in_speed(table: ProfileTable, aircraft: AircraftSpec) -> ProfileTable:
-    """Return the profile with a start airspeed: its own, or that of the trim nearest in altitude."""
+    """Return the profile with a start airspeed: its own, or the airspeed of the trim nearest in altitude."""
     start = table.start
     if start.on_ground or start.speed_mps is not None or not aircraft.trims:
         return table

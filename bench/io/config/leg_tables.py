@@ -38,7 +38,7 @@ class DeclaredTable(Table):
 
 
 def build_leg_type(legs: Iterable[type[Leg]]) -> Any:
-    """Return the type of the array ``[[leg]]``; each row has one of these kinds."""
+    """Return the type of the array ``[[leg]]``; the kind of a row selects its type."""
     tables = [_make_table_type(leg, kind=(Literal[leg.kind], ...)) for leg in legs]
     return _make_array_type(_annotate(functools.reduce(operator.or_, tables), Field(discriminator="kind")))
 

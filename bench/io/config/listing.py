@@ -1,4 +1,4 @@
-"""Lists of everything selected by name: profiles, aircraft, legs, sensors, estimators."""
+"""Catalog entries to select by name: profiles, aircraft, legs, sensors, filters."""
 
 from __future__ import annotations
 

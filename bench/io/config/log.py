@@ -1,4 +1,4 @@
-"""Read the TOML file of a log and check what its tables say against each other and the files they name."""
+"""Read the TOML file of a log; check its tables against each other and against the files they name."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class SourceSpec:
 
 @dataclass(frozen=True, slots=True)
 class ReferenceSpec:
-    """File of the reference of a log, and the mounting of its sensor."""
+    """Source, lever arm and mounting of the reference of a log."""
 
     source: SourceSpec
     point_b: tuple[float, float, float]  # relative to the IMU [m], b
@@ -65,7 +65,7 @@ class ReferenceSpec:
 
 @dataclass(frozen=True, slots=True)
 class StartSpec:
-    """Initial state given to the filters."""
+    """Initial state of the filters, and how they find the rest."""
 
     alignment: str  # "given", "level", "hover" or "course"
     at: float  # earliest start, since the first row of the IMU [s]
@@ -224,7 +224,7 @@ def _make_spec(
     choices: tuple[EstimatorChoice, ...],
     changes: DatasheetChanges,
 ) -> LogSpec:
-    """Return a log in SI, whose tables are right."""
+    """Return a log in SI units from checked tables."""
     gnss_at = table.gnss.position_m if table.gnss else table.imu.position_m
 
     def from_imu(at: tuple[float, float, float]) -> tuple[float, float, float]:
@@ -268,10 +268,10 @@ def _make_spec(
 
 
 def _spread_file(document: Mapping[str, Any], shown: str) -> dict[str, Any]:
-    """Return a document with a table for each sensor, where one file at its top holds several.
+    """Return a document with a table for each sensor, if one file at its top contains several.
 
     ``file = "all.mat"`` and ``imu = "imu1"`` are ``[imu] file = "all.mat"`` and ``topic = "imu1"``; a table
-    without a file has that of the top.
+    without a file gets the file at the top.
 
     Raises
     ------
@@ -408,7 +408,7 @@ def _to_year(day: datetime.date) -> float:
 
 
 def _read_classes(table: Mapping[str, float], shown: str) -> dict[int, float]:
-    """Return the sd of each class of quality, whose names in TOML are text."""
+    """Return the sd of each class of quality; TOML has the classes as text."""
     if wrong := [name for name in table if not name.isdecimal()]:
         text = f"[gnss] quality_sd_m: {wrong[0]!r} must be a class of quality, a whole number"
         raise ConfigError(f"{shown}: {text}, such as 1 = 0.02")

@@ -139,13 +139,13 @@ LogAssumedTable: Any = create_model("LogAssumedTable", __base__=_AssumedTable, *
 
 
 class LogSensorsTable(Table):
-    """Assumed datasheets of the sensors."""
+    """Datasheets of the sensors of a log."""
 
     assumed: LogAssumedTable
 
 
 class LogAlignmentTable(Table):
-    """Initial state given to the filters; they find the rest by alignment.
+    """Initial state that the filters get; they find the rest by alignment.
 
     ``given``: position and velocity of a fix, and this attitude. ``level``: the position at standstill.
     ``hover``: position, velocity and tilt by fixes and IMU in steady flight. ``course``: nothing.

@@ -105,18 +105,18 @@ def _locate(key: str, value: Any, beside: Path) -> Any:
 
 
 def sets_estimator(overrides: Mapping[str, Any], number: int) -> bool:
-    """Return whether overrides say what an entry of [[estimator]] is; its path is then the user's own."""
+    """Return whether overrides set the use of an entry of [[estimator]]; its path is then the user's own."""
     return any(key in overrides for key in ("estimator", f"estimator.{number}", f"estimator.{number}.use"))
 
 
 def split_overrides(overrides: Mapping[str, Any], beside: Path) -> tuple[dict[str, Any], DatasheetChanges]:
-    """Divide overrides into those of the file and those of figures in the datasheets that it names.
+    """Divide overrides into overrides of the file and overrides of values in the datasheets that it names.
 
-    A path in them is relative to the present folder, not to ``beside``, the folder of the file.
-    ``sensors.imu.gyro.noise_deg_sqrt_h`` is a figure of the unit on board, which filters then assume, too;
-    ``sensors.assumed.imu.gyro.noise_deg_sqrt_h`` is only what they assume. A table with the name of its
-    sensor may be left out: ``sensors.baro.white_sd_m``. What comes later wins: behind ``sensors.assumed.imu``
-    filters assume that datasheet, without the figures given on board before it.
+    A path in an override is relative to the present folder, not to ``beside``, the folder of the file.
+    ``sensors.imu.gyro.noise_deg_sqrt_h`` is a parameter of the simulated IMU, and of the assumed datasheet;
+    ``sensors.assumed.imu.gyro.noise_deg_sqrt_h`` only of the assumed datasheet. A table with the name of its
+    sensor may be left out: ``sensors.baro.white_sd_m``. Later overrides win: after ``sensors.assumed.imu``
+    filters assume that datasheet, without the parameters of the simulated IMU set before.
     """
     plain = {key: _locate(key, value, beside) for key, value in overrides.items()}
     changes = DatasheetChanges()
@@ -143,7 +143,7 @@ def split_overrides(overrides: Mapping[str, Any], beside: Path) -> tuple[dict[st
 
 
 def less_empty(document: dict[str, Any], key: str) -> dict[str, Any]:
-    """Return a document without a key that is empty, in place: results say nothing of it."""
+    """Remove an empty key from a document, in place, to keep it out of results; return the document."""
     if not document[key]:
         del document[key]
     return document
@@ -158,7 +158,7 @@ def describe_choice(choice: EstimatorChoice) -> dict[str, Any]:
 def set_seed(
     document: dict[str, Any], overrides: dict[str, Any], seed: int | None
 ) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return a document with this seed, and the other overrides; that of an override wins."""
+    """Return a document with this seed, and the other overrides; the seed of an override wins."""
     if seed is None:
         return document, overrides
     used = overrides.pop("seed", seed)

@@ -186,7 +186,7 @@ def _read_sensors(
 def _make_guidance(
     table: ExperimentTable, shown: str, flight: Flight, guard: Guard, *, allow_code: bool
 ) -> Guidance | None:
-    """Return whose estimate flies; None: the truth.
+    """Return the filter that guides the flight; None if the truth does.
 
     Raises
     ------
@@ -261,7 +261,7 @@ def choose_estimators(
     allow_code: bool,
     guard: Guard,
 ) -> tuple[EstimatorChoice, ...]:
-    """Return the filters to run: those of a file, or those requested instead.
+    """Return the filters to run: the filters of a file, or those requested instead.
 
     Raises
     ------
@@ -323,7 +323,7 @@ def _make_label(use: str) -> str:
 
 
 def _number_labels(choices: Sequence[EstimatorChoice]) -> tuple[EstimatorChoice, ...]:
-    """Return the choices; a file or program whose label is used already gets a number behind it."""
+    """Return the choices; a file or program with a label used before gets a number appended to the label."""
     counts: Counter[str] = Counter()
     numbered = []
     for choice in choices:

@@ -121,7 +121,7 @@ class TerrainTable(Table):
 
 
 class GustTable(make_table_type(Gust)):  # type: ignore[misc]
-    """A 1 - cosine gust: air velocity at its peak, and how long it rises, holds and falls."""
+    """A 1 - cosine gust: air velocity at its peak, and durations of its rise, peak and fall."""
 
     north_mps: Annotated[float, between(-40, 40)] = 0.0
     """Velocity of the air at the peak, north."""
@@ -190,7 +190,7 @@ class InitialErrorSdTable(Table):
 
 
 class AlignmentTable(Table):
-    """Initial state given to the filters; they find the rest by alignment.
+    """Initial state that the filters get; they find the rest by alignment.
 
     ``given``: all of it. ``level``: the position at standstill. ``course``: nothing.
     """
@@ -342,7 +342,7 @@ class ScriptTable(_ExternalTable):
 
 
 class TrackTable(Table):
-    """Assumptions by which a track of positions becomes a smooth motion of a vehicle."""
+    """Assumptions that turn a track of positions into a smooth motion of a vehicle."""
 
     vehicle: Literal["aircraft", "ground"] = "aircraft"
     """Motion: an aircraft flies coordinated turns; a ground vehicle keeps its wheels level and points along
@@ -366,7 +366,7 @@ class TrackTable(Table):
 
 
 class TrajectoryTable(_ExternalTable):
-    """The file of a profile whose truth is a trajectory table, or a track."""
+    """Profile with a trajectory table, or a track, as its truth."""
 
     trajectory: str
     """A .csv, .parquet, .gpx, .kml, .igc or .nmea file, beside the profile."""

@@ -34,7 +34,7 @@ _TRIADS: Mapping[Any, str] = {ImuSheet.model_fields[name].annotation: name for n
 
 
 class _Generator(GenerateJsonSchema):
-    """Adds to what pydantic says the limits of numbers, and the words below each key."""
+    """Adds to the schema of pydantic the limits of numbers, and the description below each key."""
 
     def function_after_schema(self, schema: core_schema.AfterValidatorFunctionSchema) -> JsonSchemaValue:
         made = super().function_after_schema(schema)
@@ -110,7 +110,7 @@ def _drop_head(schema: Schema) -> Schema:
 
 
 def _make_log_schema() -> Schema:
-    """Return the schema of a log, whose sensors may share one file that is named at its top."""
+    """Return the schema of a log; its sensors may share one file that is named at the top."""
     made = make_schema(LogTable, "A log of bench")
     shared = made["definitions"]["ImuTable"]["properties"]
     made["properties"] |= {key: shared[key] for key in _SHARED}

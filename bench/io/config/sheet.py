@@ -1,4 +1,4 @@
-"""Common keys of all datasheets: source, assumed parameters, and their checks."""
+"""Contents common to all datasheets: sources of their values, and checks of these values."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Sheet(Table):
 
 
 class SpecTable(Table):
-    """A table whose keys are the figures of a spec."""
+    """A table with the fields of a spec as keys."""
 
     spec: ClassVar[type]
 

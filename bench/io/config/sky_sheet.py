@@ -115,7 +115,7 @@ def read_sky(table: SkyTable, beside: Path) -> SkySpec:
 def _read_satellites(
     table: SkyTable, beside: Path, midnight: float, of_day: float
 ) -> tuple[dict[int, KeplerSets | GlonassSets] | None, Sequence[float] | None]:
-    """Read orbits by system and the ionosphere parameters; None stands for the nominal ones."""
+    """Read orbits by system and the ionosphere parameters; None selects the nominal ones."""
     if table.almanac is not None:
         path = beside / table.almanac
         almanac = ask_reader(path, "read_almanac", KeplerSets, path, midnight, table.almanac)

@@ -1,4 +1,4 @@
-"""Read TOML files that may be too large or too deep; one line says what is wrong."""
+"""Read TOML files that may be too large or too deep; one line describes an error."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _KINDS = {
 
 
 def check_kind(document: Mapping[str, Any], wanted: str, shown: str) -> None:
-    """Raise ConfigError if a document is one of another kind than ``wanted``, a key of `_KINDS`."""
+    """Raise ConfigError if a document is of another kind than ``wanted``, a key of `_KINDS`."""
     found = [kind for kind, (keys, _) in _KINDS.items() if not document.keys().isdisjoint(keys)]
     if found and wanted not in found:
         raise ConfigError(f"{shown}: {found[0]}, not {wanted}; {_KINDS[found[0]][1]}")

@@ -53,7 +53,7 @@ FORMATS: Mapping[str, Format] = dict(_find_formats())
 
 
 def list_formats() -> dict[str, str]:
-    """Return the title of each format by name, those of installed packages last; these are not imported."""
+    """Return the titles of the formats by name, formats of packages last; no package is imported."""
     added = find_installed("exports", FORMATS)
     return {name: one.title for name, one in FORMATS.items()} | {
         name: f"{one.place} of {one.package}" for name, one in added.items()

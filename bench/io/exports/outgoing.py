@@ -183,7 +183,7 @@ class ExportData:
 
 
 def _cut_first(imu: ImuData, begin: float) -> ImuData:
-    """Return a record whose first interval begins no earlier than a time, in proportion to time."""
+    """Return a record with its first interval cut to begin no earlier than a time, in proportion to time."""
     dt, dtheta_b, dvel_b = imu.dt.copy(), imu.dtheta_b.copy(), imu.dvel_b.copy()
     dt[0] = min(dt[0], imu.t[0] - begin)
     dtheta_b[0] *= dt[0] / imu.dt[0]

@@ -101,7 +101,7 @@ class FilterProcess:
 
     @property
     def usable(self) -> bool:
-        """Return whether it can be asked: it lives, owes no answer, and its files are as they were."""
+        """Return whether the process is alive, owes no answer, and has unchanged source files."""
         return self._close.alive and not self.waiting and self._child.poll() is None and self._is_current()
 
     @property
@@ -280,7 +280,7 @@ class FilterProcess:
         raise EstimatorStoppedError(f"filter {self._label!r}: its process {how}")
 
     def _stop(self, reason: str) -> NoReturn:
-        """Have the process print where it is, and say why it is ended."""
+        """Have the process print its stack, end it, and raise an error with the reason."""
         with contextlib.suppress(ProcessLookupError):
             os.kill(self.pid, signal.SIGABRT)
         end = time.monotonic() + PATIENCE
@@ -330,7 +330,7 @@ _kept = _Kept()
 
 
 def take_process(choice: EstimatorChoice, options: bytes) -> FilterProcess:
-    """Return the process of a filter, started now if there is none that can be asked."""
+    """Return the process of a filter; start a process if no usable one is kept."""
     key = (choice.use, choice.label, choice.guard, options, tuple(sys.path), os.getcwd())
     found = _kept.processes.pop(key, None)
     if found is not None and not found.usable:

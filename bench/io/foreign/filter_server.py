@@ -1,7 +1,7 @@
-"""Process of a filter: builds the filter, passes sensors and initial state, sends solutions.
+"""Program in the process of a filter: builds the filter, passes sensors and initial state, sends answers.
 
-`bench.io.foreign.filter_process` starts it and asks. Nothing of the truth, and nothing of the process that
-asks, is in this one.
+`bench.io.foreign.filter_process` starts it and sends requests. This process contains no truth and no data of
+the requesting process.
 """
 
 from __future__ import annotations
@@ -102,7 +102,7 @@ def _wait_for(life: int) -> None:
 
 
 def watch(poll: select.poll) -> list[tuple[int, int]]:
-    """Return what is ready within `_AWAKE`: who sleeps is woken later than a small request is answered."""
+    """Return the descriptors ready within `_AWAKE`, by polling: waking takes longer than a small answer."""
     end = time.perf_counter() + _AWAKE
     while not (ready := poll.poll(0)) and time.perf_counter() < end:
         os.sched_yield()
@@ -127,7 +127,7 @@ def _receive(line: socket.socket, poll: select.poll) -> tuple[bytes, NDArray[np.
 
 @dataclass
 class _Served:
-    """A filter as it is asked for, and the instance that answers now."""
+    """A filter as requested, and the instance that answers now."""
 
     use: str
     label: str

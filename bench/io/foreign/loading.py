@@ -1,4 +1,4 @@
-"""Choice of the process of a filter: this one, or one of its own."""
+"""Choice of the process of a filter: this process, or a process of its own; decided only here."""
 
 from __future__ import annotations
 

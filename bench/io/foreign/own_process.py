@@ -25,7 +25,7 @@ _LEAST = 60.0  # time to start a process and import a module [s]
 
 
 class OwnProcessEstimator:
-    """A filter whose class is in another process.
+    """A filter with its class in another process.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ class OwnProcessEstimator:
 
     @property
     def printed(self) -> str:
-        """Return what it has printed since it was built."""
+        """Return the text printed since the filter was built."""
         return self._printed.text
 
     def wait(self) -> Self:
@@ -133,7 +133,7 @@ class OwnProcessEstimator:
         return max(_LEAST, self._choice.guard.choose_timeout())
 
     def _start(self) -> FilterProcess:
-        """Return its process, which has been asked to build it."""
+        """Return the process of the filter, after requesting it to build the filter."""
         process = take_process(self._choice, self._options)
         process.printed = self._printed
         options = np.frombuffer(self._options, np.uint8)
@@ -142,7 +142,7 @@ class OwnProcessEstimator:
         return process
 
     def _ready(self) -> FilterProcess:
-        """Return its process; one that has ended is started again."""
+        """Return the process of the filter; start it again if it has ended."""
         if not self._process.usable:
             self._process = self._start()
             self.wait()

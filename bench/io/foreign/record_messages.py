@@ -52,7 +52,7 @@ _pack_float, _pack_int = struct.Struct("<d").pack, struct.Struct("<q").pack
 
 
 class _RecordLayout:
-    """How the records of a class are taken apart: columns, those of truth values last; then the rest."""
+    """Layout for packing the records of a class: columns, truth values last; then the other fields."""
 
     def __init__(self, kind: type) -> None:
         declared = columns_of(kind) if issubclass(kind, Record) else {}
@@ -87,7 +87,7 @@ class _RecordLayout:
         return rows, width, arrays, self._others(record), rows * size
 
     def columns(self, width: int) -> tuple[list[_RowColumn], int]:
-        """Return the columns of records whose widest have a width, and the size of a row [byte]."""
+        """Return the columns of records of a given greatest width, and the size of a row [byte]."""
         if width not in self._known:
             found = []
             for name, kind, shape in self._shapes:
@@ -110,7 +110,7 @@ class _RecordLayout:
 
 
 class _RowColumn(NamedTuple):
-    """One column of a row of a record."""
+    """Value of one column in a row of a record."""
 
     name: str
     kind: type
@@ -159,7 +159,7 @@ class RecordMessage:
         self.text = _write_text(tree) if self.size < _REPEATED else _write_text.__wrapped__(tree)
 
     def _take(self, value: Any) -> Any:
-        """Return what the text says of a value; its arrays and numbers go into the body."""
+        """Return the text of a value; its arrays and numbers go into the body."""
         kind = type(value)
         if kind in _WORDS:
             return value

@@ -1,4 +1,4 @@
-"""Evaluate a solution from a file on a run, like that of a filter of the bench."""
+"""Evaluate a solution from a file on a run, as if it were the solution of a filter of bench."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Datasheets that a recording holds: of an IMU in a file of NaveGo, of a barometer among parameters.
+"""Datasheets from recordings: of an IMU in a file of NaveGo, of a barometer in autopilot parameters.
 
 A sheet is written beside the log, which names it, so that a person can read and correct it.
 """
@@ -95,7 +95,7 @@ def _write_axes(values: Any, figure: str) -> str:
 
 
 def write_baro_sheet(path: Path, sd: float, says: str, like: str) -> str:
-    """Return the datasheet of a barometer whose noise an autopilot assumes, the rest as that of ``like``.
+    """Return the datasheet of a barometer with the noise that an autopilot assumes, and the rest of ``like``.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Content of an autopilot's log: sensors, lever arms, day, truth, its own estimate."""
+"""Contents of the log of an autopilot: sensors, lever arms, day, truth, own estimate."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _GPS_EPOCH = datetime.date(1980, 1, 6)
 
 @dataclass(frozen=True, slots=True)
 class Contents:
-    """Content of a log."""
+    """Contents of a log."""
 
     sensors: tuple[str, ...]  # "imu", "gnss" and instruments that have rows
     imu: Vector | None = None  # by its parameters: forward, right, down from the origin of the vehicle [m]
@@ -33,9 +33,9 @@ class Contents:
 
 @dataclass(frozen=True, slots=True)
 class OwnMotion:
-    """Motion in a log: a truth, or the estimate of its autopilot.
+    """Motion recorded in a log: a truth, or the estimate of its autopilot.
 
-    Position and attitude have times of their own [s], on the clock of the file; what is not known is NaN.
+    Position and attitude have times of their own [s], on the clock of the file; unknown values are NaN.
     """
 
     t: FloatArray  # (N,) of position and velocity
@@ -81,7 +81,7 @@ def day_of_gps(week: float, second: float) -> datetime.date | None:
 
 
 def day_of_unix(second: float) -> datetime.date | None:
-    """Return the day of a time in seconds since 1970; None if it cannot be one of a recording."""
+    """Return the day of a time in seconds since 1970; None if the time is implausible for a recording."""
     if not 3e8 < second < 4e9:
         return None
     return datetime.datetime.fromtimestamp(second, datetime.UTC).date()

@@ -208,12 +208,12 @@ def _make_imu(rows: LogRows, spec: LogSpec, origin: float) -> ImuData:
 
 
 def _find_flagged(rows: LogRows) -> BoolArray:
-    """Return which rows (N,) the instrument itself calls valid: all if it says nothing."""
+    """Return a mask (N,) of the rows that the instrument reports as valid: all rows if it does not report."""
     return np.asarray(rows.values.get("valid", np.ones(len(rows.t))) > 0)
 
 
 def _find_arrival(rows: LogRows, origin: float) -> FloatArray:
-    """Return when each row (N,) reached the filter [s]: with its time, if the file does not say."""
+    """Return the time at which each row (N,) reached the filter [s]: its own time, if the file has none."""
     t = rows.t - origin
     arrival = rows.values.get("arrival", rows.t) - origin
     return np.where(arrival >= t, arrival, t)
@@ -285,7 +285,7 @@ def _shift_velocities(t: FloatArray, vel_n: FloatArray | None, offset: float, sh
 
 
 def _find_report(values: Mapping[str, FloatArray], spec: LogSpec) -> str:
-    """Return what tells how good a fix is, in words; empty if nothing does."""
+    """Return the accuracy indicator of a fix, in words; empty if there is none."""
     if {"sd_pos", "cov_pos"} & values.keys():
         return "standard deviation"
     if "quality" in values and spec.quality_sd:
@@ -333,7 +333,7 @@ def _make_covariance(values: Mapping[str, FloatArray], block: str, otherwise: Fl
 
 
 def _make_instrument(kind: str, rows: LogRows, spec: LogSpec, origin: float) -> Any:
-    """Return the record of an instrument; its sd is that of its datasheet, if the file says none."""
+    """Return the record of an instrument; the sd is from its datasheet, if the file contains none."""
     row, assumed = INSTRUMENTS[kind], getattr(spec.assumed, kind)
     t, value = rows.t - origin, rows.values[row.value].reshape(len(rows.t), row.width)
     sd = rows.values.get("sd")
@@ -351,10 +351,10 @@ def _make_instrument(kind: str, rows: LogRows, spec: LogSpec, origin: float) -> 
 
 
 def set_altimeter(baro: BaroData, fixes: GnssFixes, begin: float, judged: float) -> BaroData:
-    """Return a barometer set at the start to the height by the fixes, as a pilot sets it to that of a field.
+    """Return a barometer set at the start to the height of the fixes, as a pilot sets the field elevation.
 
     Fixes from ``judged`` on [s] may be withheld to evaluate filters: they set it only if there is none
-    before. The pressure of the day is in no log: without that its heights are off by a hundred meters.
+    before. No log contains the pressure of the day; without it, heights are off by a hundred meters.
     """
     near = fixes.valid & (fixes.t >= begin) & (fixes.t <= begin + _SETTING)
     before = near & (fixes.t < judged)
@@ -368,7 +368,7 @@ def set_altimeter(baro: BaroData, fixes: GnssFixes, begin: float, judged: float)
 
 
 def find_ground(spec: LogSpec, instruments: Mapping[str, Any], fixes: GnssFixes) -> float:
-    """Return the height of the ground below a radar: as the log says, or where it first looked on it [m]."""
+    """Return the height of the ground below a radar [m], from the log or from the first radar row."""
     if spec.ground_alt is not None or "radar" not in instruments:
         return spec.ground_alt or 0.0
     radar, heights = instruments["radar"], INSTRUMENTS["radar"].values(instruments["radar"])[:, 0]
@@ -380,7 +380,7 @@ def find_ground(spec: LogSpec, instruments: Mapping[str, Any], fixes: GnssFixes)
 
 
 def divide_intervals(imu: ImuData, cuts: FloatArray) -> ImuData:
-    """Return an IMU record whose intervals also end at the given cuts, divided in proportion to time.
+    """Return an IMU record with intervals that also end at the given cuts, divided in proportion to time.
 
     A fix between two samples is then used at its own time. At 16 m/s a fix used half a sample late (5 ms) is
     8 cm off. Rows whose time is not later than that of all rows before are left unchanged.
@@ -415,7 +415,7 @@ def divide_intervals(imu: ImuData, cuts: FloatArray) -> ImuData:
 
 
 def _find_ordered(imu: ImuData) -> IntArray:
-    """Return the valid rows whose time is later than that of all rows before."""
+    """Return the valid rows with a time later than the times of all rows before."""
     newest = np.maximum.accumulate(imu.t)
     later = np.ones(len(imu), np.bool_)
     later[1:] = imu.t[1:] > newest[:-1]

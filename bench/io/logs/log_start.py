@@ -129,7 +129,7 @@ def _no_turn(t: float) -> FloatArray:
 
 
 def _start_in_the_air(recording: LogRecords, spec: LogSpec, own: OwnAttitude | None) -> InitialState:
-    """Return the state at the fix that ends a segment, by what fixes and IMU say of it."""
+    """Return the state at the fix that ends a segment, from the fixes and IMU data of the segment."""
     given, fixes, imu = spec.start, recording.fixes, recording.imu
     usable = fixes.valid & np.isfinite(fixes.vel_n).all(axis=1) & (fixes.t >= max(given.at, imu.t[0]))
     first = _first_fix(spec, usable)

@@ -116,7 +116,7 @@ def get_vector(value: Value, name: str, shown: str) -> FloatArray:
 
 
 class _TooLargeError(Exception):
-    """Unpacked content is larger than allowed."""
+    """The unpacked data exceed their size limit."""
 
 
 class _MatBytes:

@@ -1,8 +1,8 @@
-"""The log of an autopilot: what it holds, the truth of its simulator, and its own estimate as a filter.
+"""The log of an autopilot: its contents, the truth of its simulator, and its own estimate as a filter.
 
-``use = "autopilot"`` is what flew, ``"autopilot:1"`` the second instance or core. An autopilot has used every
-fix, so none can be withheld from it: it is evaluated by a reference, by the fixes that end real outages, and
-by its own innovations.
+``use = "autopilot"`` is the estimate that flew, ``"autopilot:1"`` the second instance or core. An autopilot
+has used every fix, so no fix can be withheld from it: it is evaluated by a reference, by the fixes that end
+real outages, and by its own innovations.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ NEAR = 0.5
 
 
 def look(form: str, path: Path) -> Contents:
-    """Return what the log of an autopilot holds and knows of itself.
+    """Return the contents of the log of an autopilot.
 
     Raises
     ------
@@ -72,7 +72,7 @@ def read_estimate(source: SourceSpec, instance: int | None) -> OwnEstimate:
 
 
 def _ask(form: str, path: Path, what: str, function: str, kind: type[_Answer], *given: object) -> _Answer:
-    """Return what a function of the reader of a format says of a file; ``what`` is named if a field lacks."""
+    """Return the result of a reader function for a file; name ``what`` if a field is missing."""
     known = find_format(form)
     try:
         with explain_missing(known.package, path):

@@ -1,4 +1,4 @@
-"""Clocks of records that go back: seconds of a GPS week at its end, those of a recorder when it restarts."""
+"""Clocks that jump back: seconds of a GPS week at its end, the clock of a recorder at a restart."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _NEAR = 600.0  # a gap over the end of a week may be twice as long [s]
 
 
 def unwrap_week(rows: LogRows, shown: str) -> LogRows:
-    """Return rows whose times, if they are seconds of a week, go on where a week ends."""
+    """Return rows with seconds of a GPS week continued beyond the end of the week."""
     weeks = _count_weeks(rows.t)
     if weeks is None:
         return rows
@@ -30,7 +30,7 @@ def unwrap_week(rows: LogRows, shown: str) -> LogRows:
 
 
 def _count_weeks(t: FloatArray) -> IntArray | None:
-    """Return how many weeks each time (N,) is after that of the first row; None if no week ends."""
+    """Return the number of weeks of each time (N,) after the first row; None if no week ends."""
     if not len(t) or t.min() < 0.0 or t.max() > WEEK:
         return None
     ends, begins = t > WEEK - _NEAR, t < _NEAR
@@ -41,9 +41,9 @@ def _count_weeks(t: FloatArray) -> IntArray | None:
 
 
 def find_week(t: FloatArray, first: float, last: float) -> float:
-    """Return what to add to times that are a week from those of an IMU, from first to last [s]: 0 if not.
+    """Return the offset [s] that moves times into the week of an IMU, from first to last; 0 if none fits.
 
-    A receiver that begins after the end of the week, or ends before it, has the seconds of another week.
+    The seconds of a receiver that begins after the end of the week, or ends before it, are of another week.
     """
     for week in (0.0, WEEK, -WEEK):
         if len(t) and t.min() + week <= last and t.max() + week >= first:
@@ -52,7 +52,7 @@ def find_week(t: FloatArray, first: float, last: float) -> float:
 
 
 def meet_week(rows: LogRows, first: float, last: float) -> LogRows:
-    """Return rows with times of the week of an IMU, whose times are from first to last [s]."""
+    """Return rows with their times in the week of an IMU that has times from first to last [s]."""
     week = find_week(rows.t, first, last)
     if not week:
         return rows

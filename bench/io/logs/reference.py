@@ -1,7 +1,7 @@
-"""The reference of a log: what another unit says of the same motion, and how it evaluates a solution.
+"""The reference of a log: the same motion measured by another system, and its use in evaluation.
 
-The reference may be any file that fixes or solutions are read from. Solution and reference have times of
-their own: the one with more rows is interpolated at the epochs of the other, never across a gap of it.
+The reference may be any file that fixes or solutions are read from. Solution and reference have different
+times: the record with more rows is interpolated at the epochs of the other, never across a gap.
 """
 
 from __future__ import annotations
@@ -129,7 +129,7 @@ def _read_truth(source: SourceSpec) -> tuple[LogRows, FloatArray, None]:
 
 
 def make_covariance(values: dict[str, FloatArray], sd_phi: FloatArray | None, n: int) -> FloatArray:
-    """Return covariances (N, 9, 9); zero where nothing is said, which counts as exact."""
+    """Return covariances (N, 9, 9); zero without a standard deviation, which counts as exact."""
     cov = np.zeros((n, 9, 9))
     for k, block in enumerate(("pos", "vel")):
         part = slice(3 * k, 3 * k + 3)
@@ -150,7 +150,7 @@ def _make_solution(
 
 
 def check_reference(reference: Reference, fixes: GnssFixes) -> Check:
-    """Compare a reference with the fixes of the log: the distance tells another drive or another clock."""
+    """Compare a reference with the fixes of the log; a large distance shows another drive or clock."""
     track = reference.track
     blocks = {"velocity": track.vel_n, "attitude": track.q_nb}
     parts = ", ".join(["position", *(name for name, values in blocks.items() if np.isfinite(values).all())])

@@ -18,9 +18,9 @@ REGULAR = 1.5
 
 
 def drop_others(rows: LogRows, shown: str) -> LogRows:
-    """Return the rows of an IMU without those of other sensors among them, which hold none of its values.
+    """Return the rows of an IMU without rows of other sensors, which contain no IMU values.
 
-    A row that is missed, where the interval without it is not one of the IMU, stays.
+    A row without values stays if the interval without it is too long for the IMU.
     """
     columns = [rows.values[name] for name in ("gyro", "accel", "dtheta", "dvel") if name in rows.values]
 
@@ -87,7 +87,7 @@ def _find_new(columns: Sequence[FloatArray]) -> BoolArray:
 
 
 def drop_unreported(rows: LogRows, shown: str) -> LogRows:
-    """Return the rows without standard deviations that say nothing: receivers write 0, -1 or NaN for none."""
+    """Return the rows without unusable standard deviations: receivers write 0, -1 or NaN for unknown."""
     values, notes = dict(rows.values), list(rows.notes)
     for block, of, what in (("pos", "lla", "position"), ("vel", "vel_n", "velocity")):
         for name in [name for name in (f"sd_{block}", f"cov_{block}") if name in values and of in values]:

@@ -158,7 +158,7 @@ class FoundSensor(NamedTuple):
 
     @property
     def doubtful(self) -> tuple[str, ...]:
-        """The columns of gyros whose unit only their values tell."""
+        """Return the columns of gyros with a unit guessed from their values."""
         turns = {ours: theirs for ours, theirs in self.columns.items() if ours.startswith(_TURNS)}
         told = any(theirs in line for line in self.guessed for theirs in turns.values())
         return tuple(turns) if told else ()
@@ -224,7 +224,7 @@ def has_names(path: Path) -> bool:
 
 
 def find_texts(path: Path) -> dict[str, FoundSensor]:
-    """Return the files of increments and fixes of KF-GINS; numbers without names are told by their values.
+    """Return the files of increments and fixes of KF-GINS, which have no column names, by their values.
 
     Raises
     ------
@@ -258,7 +258,7 @@ def find_texts(path: Path) -> dict[str, FoundSensor]:
 
 
 def _find_fault(path: Path, imu_t: FloatArray) -> str:
-    """Return why a text does not hold the fixes beside an IMU; empty if it does."""
+    """Return why a text does not contain the fixes for an IMU; empty if it does."""
     try:
         fixes = formats.read("kf-gins", path, "gnss", None)
     except ConfigError as error:
@@ -343,7 +343,7 @@ def _stem(ours: str, stems: Collection[str]) -> str:
 def _guess_unit(
     path: Path, stem: str, columns: Mapping[str, str], stems: Collection[str], longest: float
 ) -> str:
-    """Return the unit of a column by its values and those of the columns that belong to it."""
+    """Return the unit of a column by its values and the values of the columns that belong to it."""
     quantities = [q for ways in _KINDS.values() for way in ways for q in way]
     quantity = next((q for q in quantities if stem in q.stems), _TIME)
     names = [name for ours, name in columns.items() if _stem(ours, stems) in quantity.stems]
@@ -365,7 +365,7 @@ def _refuse_force(path: Path, names: Sequence[str]) -> str:
 def _match_columns(
     path: Path, names: Sequence[str], prefix: str, quantities: tuple[_SensorQuantity, ...], longest: float
 ) -> FoundSensor | None:
-    """Return the columns of a sensor among the names with a prefix; None if one that it needs is missing."""
+    """Return the columns of a sensor among the names with a prefix; None if a required column is missing."""
     inside = [name.removeprefix(prefix) for name in names if name.startswith(prefix)]
     plain = {name: _split_name(name) for name in inside}
     columns: dict[str, str] = {}
@@ -399,9 +399,9 @@ def _match_columns(
 
 
 def _split_name(name: str) -> tuple[str, str]:
-    """Return the words of a name, and the ending of its unit, which may stand in brackets behind them.
+    """Return the words of a name, and the ending of its unit, which may follow in brackets.
 
-    A unit that no column of a log has is returned as it is; empty if there is none.
+    A unit that no column of a log has is returned unchanged; empty if there is none.
     """
     words, _, bracket = re.sub(r"[\])].*", "", name.lower().replace("[", "(")).partition("(")
     words = words.strip().lstrip("#").strip().replace(" ", "_")
@@ -418,7 +418,7 @@ def _split_name(name: str) -> tuple[str, str]:
 
 
 def _find_name(pattern: str, plain: Mapping[str, tuple[str, str]], taken: Mapping[str, str]) -> str | None:
-    """Return the shortest name that fits a pattern, is not taken, and is not that of an accuracy."""
+    """Return the shortest name that fits a pattern, is not taken, and does not name an accuracy."""
     fitting = [
         name
         for name, (stem, _) in plain.items()

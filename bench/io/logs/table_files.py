@@ -221,7 +221,7 @@ class _TableHeader(NamedTuple):
 
 
 def _read_header(path: Path) -> _TableHeader:
-    """Return the header of a CSV file, whose columns a comma, a semicolon or a tab separates.
+    """Return the header of a CSV file with columns separated by a comma, a semicolon or a tab.
 
     Empty lines and comments (#, %, //) above it do not count; the last comment is the header if rows follow.
     A line of units in brackets below it belongs to it.

@@ -68,7 +68,7 @@ def to_arrow(result: RunResult, record: str, estimator: str | None = None) -> pa
 
 
 class _WithoutPandas:
-    """A finder of modules that says there is no pandas."""
+    """A finder of modules that reports pandas as missing."""
 
     @staticmethod
     def find_spec(name: str, path: object = None, target: object = None) -> None:
@@ -78,9 +78,9 @@ class _WithoutPandas:
 
 
 def leave_out_pandas() -> None:
-    """Keep pyarrow from importing pandas to ask of every array whether it is one of its: a tenth of a run.
+    """Keep pyarrow from importing pandas to check every array for a pandas type: a tenth of a run.
 
-    For a process of the command line alone, for pyarrow asks once: from then on it takes a Series for a plain
+    For a process of the command line alone, because pyarrow checks once: then it takes a Series for a plain
     sequence, until its own conversion to pandas is called. Without effect once pandas is imported.
     """
     import pyarrow as pa

@@ -1,4 +1,4 @@
-"""The columns of the files: those a record class declares, and those whose number depends on the record."""
+"""The columns of the files: declared by a record class, or with a number that depends on the record."""
 
 from __future__ import annotations
 

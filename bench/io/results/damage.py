@@ -1,4 +1,4 @@
-"""Read ``result.json`` of a results folder, and say what is wrong with a folder that is damaged."""
+"""Read ``result.json`` of a results folder, and describe the damage of a damaged folder."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ def _find_wrong_entries(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]
 
 @contextlib.contextmanager
 def open_summary(folder: Path, name: str, what: str) -> Iterator[dict[str, Any]]:
-    """Give the JSON object of a campaign or a study, and say if its entries are not what is read of them.
+    """Provide the JSON object of a campaign or a study; raise an error if its entries are not as expected.
 
     Raises
     ------

@@ -1,6 +1,6 @@
-"""Parquet and CSV files of records; the metadata of each column holds its unit and frame.
+"""Parquet and CSV files of records; the metadata of each column contains its unit and frame.
 
-pyarrow is imported by the functions that use it: what has no files does not wait for it.
+pyarrow is imported by the functions that use it, so that a program without such files does not wait.
 """
 
 from __future__ import annotations

@@ -118,7 +118,7 @@ def list_aiding(data: SensorData) -> dict[str, Any]:
 
 
 def describe_record(record: object, data: SensorData) -> dict[str, Any]:
-    """Return the facts that the file of a record holds beside its columns."""
+    """Return the facts that the file of a record contains beside its columns."""
     if isinstance(record, GnssObservations):
         return {
             "bands": record.pseudorange.shape[1],
@@ -277,7 +277,7 @@ def load_sensors(
 
 
 def load_output_times(folder: str | os.PathLike[str]) -> FloatArray:
-    """Read the epochs (M,) that filters of a results folder were asked for [s]; none if all failed."""
+    """Read the requested epochs (M,) of the filters of a results folder [s]; empty if all filters failed."""
     paths = [path for _, path in _find_files(Path(folder), "solution")]
     outputs = (parquet.read(path, {"t": columns.TRUTH["t"]})["t"] for path in paths)
     return next((t for t in outputs if np.isfinite(t).all()), np.empty(0))

@@ -1,4 +1,4 @@
-"""Input of a filter besides the measurements: initial state, antenna, assumed datasheets."""
+"""Inputs of a filter besides the measurements: initial state, antenna, assumed datasheets."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def make_start_document(data: SensorData, initial: InitialState) -> dict[str, An
 
 
 def write_initial_state(initial: InitialState) -> dict[str, Any]:
-    """Return what a start document says of an initial state; `read_initial_state` reads it."""
+    """Return an initial state in the form of a start document; `read_initial_state` reads it."""
     lat, lon, alt = initial.lla
     return {
         "t_s": initial.t,
@@ -92,7 +92,7 @@ def read_initial_state(document: Mapping[str, Any]) -> InitialState:
 
 
 def read_assumed_specs(document: Mapping[str, Any]) -> AssumedSpecs:
-    """Return the assumed datasheets in a start document; it does not hold the orbits of a sky."""
+    """Return the assumed datasheets in a start document, without the orbits of a sky."""
     specs: AssumedSpecs = _convert(AssumedSpecs, document["assumed"])
     return specs
 

@@ -61,7 +61,7 @@ class _StoredPlot(_Stored):
 
 
 class _StoredStudy(_Stored):
-    """Content of `study.json`."""
+    """Contents of `study.json`."""
 
     study: str
     question: str

@@ -306,7 +306,7 @@ class GrowingColumn:
 
 
 def _is_sound(entry: Path) -> bool:
-    """Return whether an entry exists, its files have their hashes, and none holds a pickle."""
+    """Return whether an entry exists, its files have their hashes, and no file contains a pickle."""
     try:
         hashes = read_hashed(entry / _INDEX)
         if not hashes or any(hash_file(entry / name) != wanted for name, wanted in hashes.items()):
@@ -335,7 +335,7 @@ def _read_texts(entry: Path) -> dict[str, list[str]]:
 
 
 def _map_truth(entry: Path) -> Trajectory | None:
-    """Return the truth of an entry, memory-mapped, or None if its files do not hold one."""
+    """Return the truth of an entry, memory-mapped, or None if its files contain no valid truth."""
     try:
         return _make_trajectory(
             {name: _map_column(entry, name) for name in _list_columns(entry)}, _read_texts(entry)
@@ -345,7 +345,7 @@ def _map_truth(entry: Path) -> Trajectory | None:
 
 
 def _read_pieces(entry: Path) -> Iterator[Trajectory]:
-    """Yield the truth of an entry in pieces; the last one holds the events.
+    """Yield the truth of an entry in pieces; the last piece contains the events.
 
     The files are mapped again for each piece: a page once read stays in memory as long as its map lives.
     """

@@ -118,7 +118,7 @@ def _make_sentences(run: ExportData) -> Iterator[tuple[float, int, bytes]]:
 
 
 def _order_arrivals(arrival: FloatArray) -> list[float]:
-    """Return non-decreasing times: a row without a time, or too early, gets that of the row before."""
+    """Return non-decreasing times: a row without a time, or too early, gets the time of the row before."""
     known = np.where(np.isfinite(arrival), arrival, -np.inf)
     running: list[float] = np.maximum(np.maximum.accumulate(known), 0.0).tolist()
     return running

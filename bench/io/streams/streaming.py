@@ -123,7 +123,7 @@ def _open_socket(
 
 @contextlib.contextmanager
 def listen(host: str, port: int, say: Callable[[str], object]) -> Iterator[socket.socket]:
-    """Provide a socket that waits for connections; ``say`` is told its address.
+    """Provide a socket that waits for connections; call ``say`` with a message that contains its address.
 
     Raises
     ------

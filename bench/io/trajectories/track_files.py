@@ -75,7 +75,7 @@ def read_track(path: Path) -> FixSeries:
 
 
 def order_fixes(t: FloatArray, lla: FloatArray, notes: list[str], shown: str) -> FixSeries:
-    """Return fixes as a track: those that are finite and come after the one before; the rest is told."""
+    """Return the finite fixes in increasing time as a track; append a note on the fixes left out."""
     if len(t) > MOST_FIXES:
         raise ConfigError(f"{shown}: {len(t)} fixes, more than {MOST_FIXES}")
     whole = np.isfinite(t) & np.isfinite(lla).all(axis=1)

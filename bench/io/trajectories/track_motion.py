@@ -43,7 +43,7 @@ _PUSH = 1.2  # horizontal acceleration of a ground vehicle; assumed [g]
 
 @dataclass(frozen=True, slots=True)
 class TableMotion:
-    """A motion in rows: times from 0, Earth-fixed positions, attitudes, and velocity if it is told."""
+    """A motion in rows: times from 0, Earth-fixed positions, attitudes, and velocity if recorded."""
 
     t: FloatArray  # (N,) [s]
     pos_e: FloatArray  # (N, 3) [m]
@@ -115,7 +115,7 @@ def doubt_degrees(lla: FloatArray) -> list[str]:
 def choose_piece(
     t: FloatArray, lla: FloatArray, bridge: float, notes: list[str]
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the longest piece without an interval above ``bridge`` [s]; tell cuts, and gaps that stay."""
+    """Return the longest piece without an interval above ``bridge`` [s]; note cuts and remaining gaps."""
     steps, median = np.diff(t), float(np.median(np.diff(t)))
     edges = [0, *(np.flatnonzero(steps > bridge) + 1).tolist(), len(t)]
     begin, end = max(pairwise(edges), key=lambda pair: t[pair[1] - 1] - t[pair[0]])
@@ -137,7 +137,7 @@ def choose_piece(
 def _smooth(
     t: FloatArray, fixes: FloatArray, spec: TrackSpec, notes: list[str], shown: str, jump: str
 ) -> tuple[TrackFit, TrackFit]:
-    """Fit north and east together, and down; without outliers, and at rest where the vehicle stands."""
+    """Fit north and east together, and down; without outliers, and at rest during standstills."""
     used = ~find_lone(t, fixes)
     weights, target = np.ones(len(t)), fixes.copy()
 
@@ -266,7 +266,7 @@ def _roll_on_wheels(vel_n: FloatArray) -> FloatArray:
 
 
 def fill_slow(vel_n: FloatArray) -> FloatArray:
-    """Return velocities whose direction is turned steadily where they are too slow to have one, and level."""
+    """Return velocities with directions interpolated and leveled at speeds too low to have a direction."""
     speed = np.hypot(vel_n[:, 0], vel_n[:, 1])
     known = speed > _SLOW
     if not known.any():

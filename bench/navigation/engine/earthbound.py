@@ -1,4 +1,4 @@
-"""A filter whose state has left the Earth has ended: what it would answer is no answer."""
+"""End of a filter with a state beyond the Earth: its answers from then on are blanked."""
 
 from __future__ import annotations
 

@@ -34,7 +34,7 @@ Refused = dict[int, tuple[float, float, int]]
 
 
 class Trust(NamedTuple):
-    """Memory of the gate for each channel, a part of a sensor that is tested by itself.
+    """Memory of a gate for each channel: a part of a sensor that is tested by itself.
 
     Channels 0 and 1 are position and velocity of a fix.
     """
@@ -364,7 +364,7 @@ class InnovationGate(SessionState):
         self.moves = bool(moves_kernel(t, y, np.diag(S).copy(), limit, self.readmit_after_s, self.trust))
 
     def see_position(self) -> None:
-        """See a fix without a velocity: nothing tells why it is beyond the gate."""
+        """Process a fix without a velocity: the reason why it is beyond the gate cannot be determined."""
         self.drifted, self.moves, self.contradicts = False, True, False
 
     def take(self, *, last: bool) -> tuple[Innovations, list[EventRow]]:

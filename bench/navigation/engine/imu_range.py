@@ -1,4 +1,4 @@
-"""The range of an IMU: a sample at its end says no more than that there was more."""
+"""The range of an IMU: a saturated sample only shows that the true value is at least as large."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ def limits(spec: ImuSpec) -> tuple[float, float]:
 
 
 def find_beyond(imu: ImuData, spec: ImuSpec) -> list[tuple[str, BoolArray]]:
-    """Return the rows (N,) of an IMU record at or beyond the range of a triad, behind the words that say so.
+    """Return masks (N,) of the rows of an IMU record at or beyond the range of a triad, each after its text.
 
-    A row counts for one triad only. A row that the unit itself flags counts where the datasheet has a range,
-    whose end it may miss by a quantization step.
+    A row counts for one triad only. A row that the IMU flags as invalid counts if the datasheet has a range,
+    with a tolerance of a quantization step.
     """
     left = np.isfinite(imu.t) & np.isfinite(imu.dt) & (imu.dt > 0)
     left &= np.isfinite(imu.dtheta_b).all(axis=1) & np.isfinite(imu.dvel_b).all(axis=1)
@@ -47,7 +47,7 @@ def find_beyond(imu: ImuData, spec: ImuSpec) -> list[tuple[str, BoolArray]]:
 
 
 def count_lost(counts: dict[str, int], imu: ImuData, rows: slice, spec: ImuSpec) -> dict[str, int]:
-    """Return counts of samples without use with those of some rows: of all, and by the words of a range."""
+    """Return counts of unused samples increased by some rows: of all rows, and by the text of a range."""
     if not len(imu.t[rows]):
         return counts
     lost = take_rows(imu, rows)

@@ -1,4 +1,4 @@
-"""Buffers of measurements and IMU samples that wait for their step."""
+"""Data that wait for their step: measurements, the slots of measured but unused ones, IMU samples."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _WHOLE = ("epoch_start", "klobuchar", "gps_t0")  # not a column
 
 
 class Rows(NamedTuple):
-    """Measurements that wait, those of a kind in the order of their arrival."""
+    """Waiting measurements; measurements of a kind are in the order of their arrival."""
 
     kind: IntArray  # (M,)
     t: FloatArray  # (M,) validity [s]

@@ -1,8 +1,8 @@
-"""Scalar updates whose change of P waits: a measurement of many rows then goes over P once.
+"""Scalar updates with a delayed change of P, so that a measurement of many rows changes P once.
 
-An update by z = h' dx + v, var v = r, takes g g' off P, g = P h / sqrt(s) and s = h' P h + r: the Joseph form
-with the best gain (A-5.4.5). It takes the same off both sides of the diagonal, so that P stays exactly
-symmetric. A later row takes off what waits: its P h is less the sum of g (g' h).
+An update by z = h' dx + v, var v = r, subtracts g g' from P, g = P h / sqrt(s) and s = h' P h + r: the Joseph
+form with the best gain (A-5.4.5). It subtracts the same from both sides of the diagonal, so that P stays
+exactly symmetric. A later row accounts for delayed updates: its P h is reduced by the sum of g (g' h).
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def late_updates(n: int) -> LateUpdates:
 
 @inner
 def _lower_kernel(H: FloatArray, a: int, first: int, last: int, late: LateUpdates) -> None:
-    """Take the updates ``first`` to ``last`` off row a of HP, that of H (m, n)."""
+    """Subtract the updates ``first`` to ``last`` from row a of HP, the row of H (m, n) times P."""
     G, HP, at = late.G, late.HP, late.at
     for k in range(first, last):
         part = 0.0

@@ -1,4 +1,4 @@
-"""Interface of a filter that runs in pieces, for `bench.navigation.open_filters.PieceFilter`."""
+"""Protocol of a filter that runs in pieces, as `bench.navigation.open_filters.PieceFilter` requires."""
 
 from __future__ import annotations
 
@@ -130,7 +130,7 @@ def take_answers(solution: NavSolution, rows: slice) -> NavSolution:
 
 
 def take_after(answered: float, told: float, solution: NavSolution) -> NavSolution:
-    """Return a solution without the answers until a time, and without what it told until another [s]."""
+    """Return a solution without answers until one time, and innovations and events until another [s]."""
     if np.isfinite(answered):
         solution = take_answers(solution, slice(int(np.searchsorted(solution.t, answered, "right")), None))
     table = solution.innovations

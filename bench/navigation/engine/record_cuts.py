@@ -1,4 +1,4 @@
-"""Pieces of a record: cut, joined, and blocks of a record of hours, whose memory does not grow with it."""
+"""Pieces of a record: cut, joined, and blocks that limit the memory for a record of hours."""
 
 from __future__ import annotations
 

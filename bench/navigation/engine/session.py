@@ -175,10 +175,10 @@ def _plain(value: Any) -> Any:
 def rebuild(
     hint: Any, found: Any, like: Any = None, place: str = "", specs: AssumedSpecs | None = None
 ) -> Any:
-    """Return the value of a declared type that a plain one stands for, checked.
+    """Return the value of a declared type that a plain value represents, checked.
 
-    ``like`` is that of the same filter before its first piece; None: it has come with the pieces. Others as
-    in :meth:`SessionState.restore`.
+    ``like``: value of the same filter before its first piece; None if the value came with the pieces. For the
+    other parameters see :meth:`SessionState.restore`.
 
     Raises
     ------
@@ -223,7 +223,7 @@ def rebuild(
 def _rebuild_one_of(
     hints: tuple[Any, ...], found: Any, like: Any, place: str, specs: AssumedSpecs | None
 ) -> Any:
-    """Return the value of one of several types, the first that fits; None if that is one of them."""
+    """Return the value of the first of several types that fits; None if None is one of them."""
     rest = [hint for hint in hints if hint is not types.NoneType]
     if found is None and len(rest) < len(hints):
         return None

@@ -62,11 +62,11 @@ class Steps(NamedTuple):
 
 
 def bridge_variance(elapsed: FloatArray, spread: FloatArray) -> FloatArray:
-    """Return the variance (K, 2) of velocity and attitude after rates were held for a time (K,) [s].
+    """Return the variance (K, 2) of velocity and attitude after constant rates for a time (K,) [s].
 
-    The true rates differ from the held ones by ``spread`` (K, 2) [m/s^2, rad/s], for all of the time, and by
-    a Gauss-Markov process less its value at the start of the gap. The variance of the integral of the latter
-    is ``sd^2 2/3 T^3 / tau`` for short gaps, ``sd^2 T^2`` for long ones.
+    The true rates differ from the constant rates by ``spread`` (K, 2) [m/s^2, rad/s], for all of the time,
+    and by a Gauss-Markov process less its value at the start of the gap. The variance of the integral of the
+    latter is ``sd^2 2/3 T^3 / tau`` for short gaps, ``sd^2 T^2`` for long ones.
     """
     tau = BRIDGE_CORRELATION
     u = elapsed / tau
@@ -80,10 +80,10 @@ def bridge_variance(elapsed: FloatArray, spread: FloatArray) -> FloatArray:
 
 
 def _rates_before(imu: ImuData, rows: IntArray, spec: ImuSpec) -> tuple[FloatArray, FloatArray]:
-    """Return the mean rates (2, 3) to hold over the gap after the last of some rows, and their spread (2,).
+    """Return the mean rates (2, 3) for the gap after the last of some rows, and their spread (2,).
 
-    Both of dvel_b [m/s^2] and dtheta_b [rad/s]: the spread is that of block means over the last seconds, and
-    more near the end of a range.
+    Both for dvel_b [m/s^2] and dtheta_b [rad/s]: the spread is computed from block means over the last
+    seconds, and is larger near the end of a range.
     """
     most_rate, most_force = limits(spec)
     t, dt = imu.t[rows], imu.dt[rows]
@@ -171,7 +171,7 @@ def steps(
 
 
 def needed_rows(imu: ImuData, rows: IntArray) -> IntArray:
-    """Return those of the rows in use that :func:`steps` may still need as ``earlier`` after the last."""
+    """Return the rows in use that :func:`steps` may still need as ``earlier`` after the last row."""
     kept: IntArray = rows[imu.t[rows] > imu.t[rows[-1]] - _RECENT][-_MOST_ROWS:]
     return kept
 
@@ -213,7 +213,7 @@ def imu_rows(imu: ImuData, start: float, spec: ImuSpec) -> tuple[IntArray, Float
 
 
 class ImuIntake(SessionState):
-    """IMU samples received so far of a record that comes in pieces, after a ``start`` [s]."""
+    """Times up to which an IMU record in pieces was taken, after a ``start`` [s]."""
 
     newest: Kept[float]  # of the rows in use [s]
     before: Kept[float]  # of the sound rows after the start, the one before the next [s]
@@ -245,7 +245,7 @@ class ImuIntake(SessionState):
         return rows, span, events + (_list_gaps(imu, rows, span) if gaps else []), again
 
     def _hold(self, rows: IntArray, t: FloatArray, last: bool) -> tuple[IntArray, IntArray]:
-        """Return sound rows less a last one that leaps ahead, and that one."""
+        """Return sound rows without a last row that leaps ahead, and that row."""
         before = float(t[rows[-2]]) if len(rows) > 1 else self.before
         count = len(rows)
         if count and not last and t[rows[-1]] > before + LONGEST_BRIDGE:

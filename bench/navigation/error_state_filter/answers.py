@@ -1,4 +1,4 @@
-"""Solution from the values that a run stored at the requested epochs."""
+"""Results that a run stored at the requested epochs, as a solution."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from bench.navigation.error_state_filter.error_state import StateLayout
 
 
 def spread(values: FloatArray, rows: IntArray, count: int) -> FloatArray:
-    """Return an array of ``count`` rows, NaN but for the given ``rows`` (M,), those of values (M, ...)."""
+    """Return an array of ``count`` rows: values (M, ...) in the given ``rows`` (M,), NaN elsewhere."""
     whole = np.full((count, *values.shape[1:]), np.nan)
     whole[rows] = values
     return whole

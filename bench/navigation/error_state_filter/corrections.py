@@ -116,9 +116,9 @@ def correct_kernel(
 
 @inner
 def newest_kernel(last: FloatArray, noise: float, motion: FloatArray) -> bool:
-    """Fill a motion (2, 3) with the newest sample; tell whether its rate may be noise, and leave that out.
+    """Fill a motion (2, 3) with the newest sample; leave out a rate that may be noise, and return if so.
 
-    That noise is in the velocity of the antenna, too. A row with it would take it for the work of each state
+    Its noise is also in the velocity of the antenna. A row with this noise would attribute it to each state
     that it multiplies (scale factors, heading, the lever arm), at every fix in the same direction.
     """
     square = 0.0
@@ -153,16 +153,15 @@ def drive_rows_kernel(H: FloatArray, drives: IntArray, factor: FloatArray) -> No
 def axes_kernel(
     state: FloatArray, dx: FloatArray, drives: IntArray, factor: FloatArray, turn: FloatArray
 ) -> None:
-    """Fill turn (5, 3): how the axes of accelerometer bias turn; then sine and cosine of that of the tilts.
+    """Fill turn (5, 3) with the turn of the accelerometer bias axes and the sine and cosine of the tilt turn.
 
-    A heading turns the tilts, as the Jacobian of what is left of an error after the feedback has it. A bias
-    that hides behind a tilt moves the estimate along a circle: the biases with which a unit that stands
-    measures gravity, whatever its tilt. Where it moves, the tangent turns; a covariance that does not takes
-    the correction for a turn of the unit.
+    A heading error turns the tilts, as given by the Jacobian of the error that remains after the feedback. A
+    bias that is compensated by a tilt moves the estimate along a circle: the biases with which an IMU at rest
+    measures gravity, whatever its tilt. When the estimate moves, the tangent turns; a covariance that does
+    not turn takes the correction for a rotation of the IMU.
 
-    The filter state (n + 1,) is that before the feedback, which will subtract dx (n,); of the drives, whose
-    ``factor`` (D,) says by how much they act, those of the accelerometers come first. The last row of turn is
-    memory.
+    The filter state (n + 1,) is the state before the feedback, which will subtract dx (n,). Of the drives,
+    with their ``factor`` (D,), the drives of the accelerometers come first. The last row of turn is memory.
     """
     force, (w, p, q, r) = turn[4], (state[6], state[7], state[8], state[9])
     _force_kernel(dx, drives, factor, force)

@@ -213,7 +213,7 @@ def covariance_work(n: int) -> CovarianceWork:
 
 @inner
 def _bias_rows_kernel(P: FloatArray, drives: IntArray, factor: FloatArray, first: int, E: FloatArray) -> None:
-    """Fill E (6, n) with rows 9 to 14 of P and those of the driving states, each by its factor."""
+    """Fill E (6, n) with rows 9 to 14 of P and the rows of the driving states, each by its factor."""
     for i in range(6):
         set_row(E, i, 1.0, P, GYRO + i, first, P.shape[1])
     for d in range(drives.shape[0]):

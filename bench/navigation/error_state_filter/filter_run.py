@@ -65,7 +65,7 @@ LONGEST = 3
 
 
 class Stores(NamedTuple):
-    """Storage of a run."""
+    """Arrays that a run stores."""
 
     state: FloatArray  # (M, shown + 1) at each output, but the last states: single satellites
     cov: FloatArray  # (M, 9, 9) of position, velocity, attitude

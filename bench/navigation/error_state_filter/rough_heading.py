@@ -39,12 +39,12 @@ def may_stand(vel_n: FloatArray, cov: FloatArray) -> BoolArray:
 
 @kernel
 def motion_share(more2: float, variance: float) -> float:
-    """Return how much of a force beyond that of a steady flight is taken for motion.
+    """Return the fraction of a force beyond the force of a steady flight that is attributed to motion.
 
-    ``more2`` is its horizontal square, mean of an interval, ``variance`` that of the mean, along an axis, by
-    noise [m^2/s^4]. A heading error turns the noise of the accelerometers, too, but nobody knows how much of
-    a measured force it is: a filter that takes it for motion finds a heading where nothing tells it. So the
-    part that noise may be is left out (James and Stein, with three sigma).
+    ``more2``: its horizontal square, mean of an interval; ``variance``: variance of the mean, along an axis,
+    by noise [m^2/s^4]. A heading error also turns the noise of the accelerometers, but its part of a measured
+    force is unknown: a filter that takes it for motion finds a heading that nothing observes. So the possible
+    noise is left out (James and Stein, with three sigma).
     """
     share = 1.0 - _NOISE_SIGMAS * _NOISE_SIGMAS * variance / more2 if more2 > 0.0 else 0.0
     return max(share, 0.0)
@@ -98,9 +98,9 @@ def stand_kernel(state: FloatArray, T: float, P: FloatArray, F: FloatArray, nois
 
 @kernel
 def blind_kernel(state: FloatArray, P: FloatArray, H: FloatArray) -> None:
-    """Take the heading out of rows H (m, n) while it is any: the lever arm does not tell it.
+    """Zero the heading column of rows H (m, n) if the heading is unknown and the velocity may be zero.
 
-    Position is that of the antenna less the arm at the estimated heading; :func:`add_arm` says how far off.
+    The lever arm does not observe it: position is antenna less arm at the present heading (:func:`add_arm`).
     """
     if P[8, 8] > WIDE**2 and _stands_kernel(state, P):
         for a in range(H.shape[0]):

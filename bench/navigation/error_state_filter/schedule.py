@@ -39,7 +39,7 @@ from bench.navigation.options import FixAccuracy
 
 
 class StepPlan(NamedTuple):
-    """Next action of a filter."""
+    """Plan of the next steps of a filter."""
 
     steps: Steps
     entries: IntArray  # (E, 5) as `filter_run` takes them

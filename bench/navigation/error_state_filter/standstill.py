@@ -82,7 +82,7 @@ class StandstillDetector(ImuSampler):
 
 
 def rate_variance(spec: ImuSpec) -> float:
-    """Return the variance of a window's mean rate about that of the Earth and the bias [rad^2/s^2]."""
+    """Return the variance of the mean rate in a window about the Earth rate plus the bias [rad^2/s^2]."""
     return spec.gyro.random_walk**2 / WINDOW + RATE_SD**2
 
 

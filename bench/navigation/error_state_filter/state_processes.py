@@ -1,4 +1,4 @@
-"""What a block of states is: names, figures, how each state acts; the blocks: `state_blocks`."""
+"""Definition of a block of states: names, parameters, effect of each state; for blocks see `state_blocks`."""
 
 from __future__ import annotations
 

@@ -48,10 +48,10 @@ def _step_kernel(t: FloatArray, start: float, wanted: float, near: int) -> int:
 def _slots_kernel(
     measure: IntArray, use: IntArray, order: IntArray, go_to: int, slot: IntArray, busy: IntArray
 ) -> int:
-    """Give each measurement (M,) its slot: 0 if it is used at once, else one that is free while it waits.
+    """Give each measurement (M,) its slot: 0 if it is used at once, else a free slot while it waits.
 
-    Those that have one keep it; those to measure after the step ``go_to`` get none. ``order`` is that in
-    which they are measured, ``busy`` until which step each slot is taken. Return the last slot in use.
+    Measurements with a slot keep it; measurements due after the step ``go_to`` get none. ``order``: order of
+    measurement; ``busy``: step until which each slot is taken. Return the last slot in use.
     """
     most = 0
     for k in range(slot.shape[0]):

@@ -64,7 +64,7 @@ class VehicleSampler(ImuSampler):
         return np.ones(len(last), np.bool_), motion_b, np.full(6, white**2)
 
     def first_needed(self, imu: ImuData, last: IntArray) -> int:
-        """Return the first sample that the next mean may hold."""
+        """Return the first sample that the next mean may contain."""
         return int(np.searchsorted(imu.t, imu.t[-1] - LEAN))
 
 

@@ -61,7 +61,7 @@ class FlatFrame:
         return self.C_et.T @ (earth.to_ecef(lla) - self.origin_e), C_tn
 
     def gravity(self, p_t: FloatArray) -> FloatArray:
-        """Return gravity (3,) at a position, t; that of the origin if nothing is supplied."""
+        """Return gravity (3,) at a position, t; the gravity of the origin if nothing is supplied."""
         if not self.supply:
             return self.g_t
         lla, C_tn = self.place(p_t)
@@ -89,7 +89,7 @@ class FlatFrame:
 
     @staticmethod
     def turn_errors(initial: InitialState) -> FloatArray:
-        """Return J (9, 9): errors as gtsam has them are J times those of a start."""
+        """Return J (9, 9), which maps initial errors to errors in the order and sign of gtsam."""
         J = np.zeros((9, 9))
         J[3:6, 0:3] = J[6:9, 3:6] = J[0:3, 6:9] = -rotation.matrix(initial.q_nb).T
         return J

@@ -140,7 +140,7 @@ class FixPassage(SessionState):
         )
 
     def _take_fixes(self, piece: SensorData) -> GnssFixes | None:
-        """Return the fixes that wait and those of a piece that are new, in the order of their arrival."""
+        """Return the waiting fixes and the new fixes of a piece, in the order of their arrival."""
         fixes = piece.fixes
         if fixes is None:
             return None
@@ -202,7 +202,7 @@ class FixPassage(SessionState):
 
 
 def _unknown(count: int) -> tuple[FloatArray, FloatArray]:
-    """Return states (M, 9) and P (M, 9, 9) that say nothing."""
+    """Return states (M, 9) and P (M, 9, 9) filled with NaN."""
     return np.full((count, 9), np.nan), np.full((count, 9, 9), np.nan)
 
 

@@ -78,13 +78,13 @@ _LINEAR_DRIFT = float(np.deg2rad(2.0)) / 3600.0  # gyro bias whose free drift is
 
 
 class Fusion:
-    """Common part of loose and tight coupling: options, records, the run.
+    """Common parts of loose and tight coupling: options, records, the run.
 
     The bias states are random walks with ``P0 = turn_on_sd^2 + instability_sd^2`` and
-    ``q = 2 instability_sd^2 / correlation``; for a unit without turn-on bias they are Gauss-Markov processes
-    whose mean decays too. Q, R and P0 come from the assumed specs (`state_blocks`): R is the
-    white variance of the GNSS datasheet with Markov states, and the white and Markov variance together,
-    taken as white, without.
+    ``q = 2 instability_sd^2 / correlation``; for an IMU without turn-on bias they are Gauss-Markov processes
+    with a mean that decays too. Q, R and P0 come from the assumed specs (`state_blocks`): R is the white
+    variance of the GNSS datasheet with Markov states, and the white and Markov variance together, taken as
+    white, without.
 
     Options: `bench.navigation.options.FusionOptions`; ``bench list estimators`` shows them.
     """
@@ -168,7 +168,7 @@ class Fusion:
         return begin(first, initial, events, gyro_sd)
 
     def blocks_for(self, sensors: SensorData) -> list[Block]:
-        """Return the blocks whose record is there."""
+        """Return the blocks with a record that is present."""
         return used_blocks(self.blocks(), sensors, [sensor.record for sensor in self.aiding()])
 
     def identity(self, sensors: SensorData) -> tuple[object, ...]:
@@ -182,14 +182,14 @@ class Fusion:
         return type(self), tuple(options.items()), states, tuple(float(np.sum(one)) for one in more)
 
     def more(self, sensor: AidingSensor, specs: AssumedSpecs) -> FloatArray:
-        """Return the variance of the errors of a sensor that have no state, if every error is asked for."""
+        """Return the variance of the sensor errors without a state, if the option ``every_error`` is set."""
         spec = getattr(specs, sensor.spec)
         if not self.options.every_error or sensor.short is None or spec is None:
             return np.zeros(1)
         return sensor.short(spec)
 
     def gate(self, channels: int, start: float, model: StateModel) -> Gate:
-        """Return the tests asked for, with empty memories."""
+        """Return the requested tests, with empty memories."""
         options, bounds = self.options, np.full(4, np.inf)
         if "nis" in options.integrity:
             bounds[1:] = [nis_limit(m, options.gate_probability) for m in (1, 2, 3)]
@@ -345,7 +345,7 @@ class Passage(SessionState):
             schedule.events += self._absent(piece)
 
     def _go_over(self, antenna_b: FloatArray) -> None:
-        """Take what comes from now on for that of another antenna (3,) [m], b."""
+        """Use another antenna position (3,) [m], b, from now on."""
         options = self.filter.options
         if options.gnss and options.tight:
             raise EstimatorError("'tight' cannot go over to another antenna: the filters of fixes can")
@@ -377,7 +377,7 @@ class Passage(SessionState):
             require_range("sky/which (state)", own + 1, states + 1)  # one that has none has -1
 
     def _absent(self, piece: SensorData) -> list[EventRow]:
-        """Return an event for each sensor that is asked for and not there."""
+        """Return an event for each sensor that is requested but has no data."""
         asked, start = self.filter.aiding(), self.initial.t
         absent = [sensor.option for sensor in asked if sensor.on_request and sensor not in self.used]
         if SATELLITES in asked and piece.observations is None and piece.fixes is not None:

@@ -100,7 +100,7 @@ class Smoother:
 
     @property
     def needs(self) -> tuple[str, ...]:
-        """Return what its forward run needs."""
+        """Return the records that the forward run needs."""
         return self.filter.needs
 
     def unmodeled_errors(self, specs: AssumedSpecs) -> tuple[str, ...]:
@@ -238,7 +238,7 @@ def _gain_kernel(before: FloatArray, Phi: FloatArray, P: FloatArray, work: Smoot
 
 @inner
 def _correct_kernel(P: FloatArray, work: SmootherWork) -> None:
-    """Add C D C' to P (n, n); ``work`` holds a wide copy of it, of which the upper part is made."""
+    """Add C D C' to P (n, n); ``work`` contains a wide copy of P, of which the upper part is computed."""
     gain, product, copy = work.gain, work.product, work.P
     n, width = P.shape[0], gain.shape[1]
     for i in range(n):

@@ -258,7 +258,7 @@ class SigmaPointFlight(SteppedFilter):
 
     @property
     def lost(self) -> bool:
-        """Return whether there is no estimate any more: a diverged filter gives NaN from here on."""
+        """Return whether the filter has diverged; from then on its answers are NaN."""
         return not np.isfinite(self.P).all()
 
     def predict(self, dt: FloatArray, dtheta: FloatArray, dvel: FloatArray, unknown: FloatArray) -> None:
@@ -315,7 +315,7 @@ class SigmaPointFlight(SteppedFilter):
             at += m
 
     def _predict(self, kind: int, points: _Points) -> FloatArray:
-        """Return what the truths that the points stand for show less what was measured (S, m)."""
+        """Return predicted minus actual measurements (S, m) for the truths given by the sigma points."""
         site = Site(self.work.ahead, self.data, self.model.index, self.pending, self.work.measure)
         if kind not in self.fillers:
             self.fillers[kind] = int(place_fillers([kind], site, empty_sky())[kind])

@@ -1,1 +1,1 @@
-"""Start of a filter: alignment, several headings, restart after a gap."""
+"""Steps while the state is not known: alignment, several headings, restart after a gap."""

@@ -34,7 +34,7 @@ UNKNOWN_SPEED_SD = 300.0  # of a velocity that may be any, each axis: above the 
 
 
 def complete(sensors: SensorData, initial: InitialState) -> tuple[InitialState, Rows]:
-    """Return a complete initial state, and the events that say how it was found.
+    """Return a complete initial state, and the events that describe how it was found.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Position and velocity from fixes alone, and an attitude that is held, while the IMU gives nothing."""
+"""Position and velocity from fixes alone, and a constant attitude, while the IMU provides no data."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class End(NamedTuple):
 
 
 def lost_at(t: float, end: End) -> End:
-    """Return the end of a filter that is lost at a time [s]: its attitude may be any that is usual."""
+    """Return the end of a filter diverged at a time [s]: no position or velocity, and a wide attitude sd."""
     none, cov = np.full(3, np.nan), np.full((9, 9), np.nan)
     cov[6:, 6:] = np.diag(np.square([_TILT_SD, _TILT_SD, UNKNOWN_HEADING_SD]))
     return end._replace(t=t, lla=none, vel_n=none, cov=cov)
@@ -85,7 +85,7 @@ class Coast(SessionState):
 
     @property
     def _options(self) -> GnssOnlyOptions:
-        """Return how it manoeuvres."""
+        """Return the options for maneuvers, by whether the motion is beyond the range of the IMU."""
         return _VIOLENT if self._beyond else GnssOnlyOptions()
 
     def go_beyond(self) -> None:

@@ -69,11 +69,11 @@ def heading_is_unknown(initial: InitialState) -> bool:
 
 
 class ManyHeadings(SessionState):
-    """A filter from headings around the circle, until one of them stands for all (`InPieces`).
+    """A filter from headings around the circle, until one hypothesis replaces all (`InPieces`).
 
-    Innovations are those of the hypothesis that is the estimate, events those of the one that is left.
-    ``begin`` is `piecewise.RunsInPieces.in_pieces` of the filter, from a start whose heading is known; the
-    other parameters are what that takes.
+    Innovations belong to the hypothesis that is the estimate, events to the last hypothesis left. ``begin``
+    is `piecewise.RunsInPieces.in_pieces` of the filter, from a start with a known heading; the other
+    parameters are its parameters.
     """
 
     log: Kept[FloatArray]  # (COUNT,) logarithms of the weights
@@ -108,7 +108,7 @@ class ManyHeadings(SessionState):
         return self.members[0].end
 
     def steady_errors(self) -> tuple[FloatArray, FloatArray]:
-        """Return those of the hypothesis that is the estimate (`piecewise.KnowsImuErrors`)."""
+        """Return the steady errors of the hypothesis that is the estimate (`piecewise.KnowsImuErrors`)."""
         return cast("KnowsImuErrors", self.members[0 if self.complete else self.best]).steady_errors()
 
     def update(self, piece: SensorData, look_back: float, *, last: bool) -> NavSolution:
@@ -135,7 +135,7 @@ class ManyHeadings(SessionState):
         return join_solutions(found)
 
     def _step(self, part: SensorData, look_back: float, *, last: bool) -> list[NavSolution]:
-        """Feed a part to all hypotheses; return their joint estimate, or that of the last one left."""
+        """Feed a part to all hypotheses; return their joint estimate, or the estimate of the last."""
         solutions = [member.update(part, look_back, last=last) for member in self.members]
         for k, solution in enumerate(solutions):
             self.tables[k] = join_tables([one for one in (self.tables[k], solution.innovations) if len(one)])
@@ -273,7 +273,7 @@ def leading(weight: FloatArray, now: int) -> IntArray:
 
 
 def _combine(members: list[NavSolution], weight: FloatArray, leader: IntArray) -> NavSolution:
-    """Return the estimate of all hypotheses, which is that of the leading one, without events."""
+    """Return the states of the leading hypothesis, with the covariance of all about them, without events."""
     rows = np.arange(weight.shape[1])
 
     def led(name: str) -> FloatArray:

@@ -66,7 +66,7 @@ class RefusedFixes(SessionState):
         return bool(self._refused.any())
 
     def find(self, table: Innovations) -> float | None:
-        """Return the first epoch [s] at which the filter is lost, by its next innovations."""
+        """Return the first epoch [s] at which the filter has diverged, by its next innovations."""
         if not len(table):
             return None
         code = table.sensor.index(SENSORS[POSITION]) if SENSORS[POSITION] in table.sensor else -1
@@ -103,7 +103,7 @@ class RefusedFixes(SessionState):
         return self._fixes.take(rows[-1:])
 
     def _agree(self, now: float) -> bool:
-        """Return whether all fixes of a window until a time [s] moved as their velocities say."""
+        """Return whether all fixes of a window until a time [s] moved consistently with their velocities."""
         assert self._fixes is not None
         arrival = self._fixes.t_arrival
         inside = (arrival > now - self.window) & (arrival <= now + TIME_TOLERANCE)

@@ -64,7 +64,7 @@ Begin = Callable[[SensorData, InitialState, list[EventRow]], InPieces]
 
 @dataclass
 class _Pause(SessionState):
-    """From the last sample before a gap to where the filter starts again, or from where it was lost."""
+    """The time from the last sample before a gap, or from divergence, to the restart of the filter."""
 
     coast: Kept[Coast]
     silent: Kept[tuple[float, float]]  # [s]
@@ -173,7 +173,7 @@ class BetweenGaps(SessionState):
         return join_solutions(found)
 
     def _with_held(self, piece: SensorData, look_back: float) -> SensorData:
-        """Return a piece after what was held."""
+        """Return a piece after the samples that were kept back."""
         held = self.held
         if not same_array(self.head.antenna_b, piece.antenna_b):
             if self.pause is not None:
@@ -233,7 +233,7 @@ class BetweenGaps(SessionState):
         return solution if len(wanted) == len(part.output_t) else take_answers(solution, slice(-1))
 
     def _keep_copy(self, part: SensorData) -> None:
-        """Keep a copy of the filter where it may get lost in a part, or the part if there is one."""
+        """Keep a copy of the filter if it may diverge in a part, or the part if there is a copy."""
         if self.watch is None:
             return
         assert self.filter is not None
@@ -256,7 +256,7 @@ class BetweenGaps(SessionState):
     def _reset(
         self, t: float, look_back: float, found: list[NavSolution], *, last: bool, ended: float | None
     ) -> None:
-        """End the filter where it was lost [s], go on by the fixes alone and take the rest of the record."""
+        """End the filter at its divergence [s], continue with fixes alone and process the later record."""
         assert self.watch is not None
         assert self.since is not None
         record, told, fix = self.since, self.told, self.watch.last(t)

@@ -101,7 +101,7 @@ class FromTurnOn(SessionState):
         return self.filter.end
 
     def steady_errors(self) -> tuple[FloatArray, FloatArray]:
-        """Return those of the filter with the bias that it did not see (`piecewise.KnowsImuErrors`)."""
+        """Return the steady errors of the filter plus the bias found before (`piecewise.KnowsImuErrors`)."""
         mean, sd = cast("KnowsImuErrors", self.filter).steady_errors()
         return mean + (0.0 if self.found is None else np.append(self.found.bias_b, np.zeros(3))), sd
 
@@ -266,7 +266,7 @@ def find_turn_on(sensors: SensorData, initial: InitialState, until: float = math
 
 
 def find_turning(sensors: SensorData, initial: InitialState, until: float, near: FloatArray) -> TurnOn | None:
-    """Return the bias by a start in a turn (:func:`turning_start.find_bias`); None if that tells nothing."""
+    """Return the bias by a start in a turn (:func:`turning_start.find_bias`); None if not usable."""
     if sensors.fixes is None or not may_be_learnt(sensors, initial):
         return None
     before = gyro_error_sd(sensors.specs.imu, initial)

@@ -80,7 +80,7 @@ def _has_long_gap(sensors: SensorData, start: float) -> bool:
 
 @dataclass
 class _WholeRun:
-    """A filter that takes a record only as a whole, as one that takes pieces."""
+    """Adapter that runs a filter for whole records as if it took pieces."""
 
     run: Run
     start: InitialState

@@ -57,7 +57,7 @@ class _Layout:
 
 
 class DataFlash:
-    """The records of a file, by name; columns are made when they are asked for.
+    """The records of a file, by name; columns are made at the first access.
 
     Raises
     ------
@@ -105,7 +105,7 @@ class DataFlash:
         return starts
 
     def _learn(self, body: bytes, lengths: list[int]) -> list[int]:
-        """Take the layout in a FMT; one that contradicts its own length, or an earlier one, is not used."""
+        """Store the layout in a FMT record, unless it contradicts its own length or an earlier layout."""
         row = np.frombuffer(body, _FORMAT)[0]
         name, letters, labels = (row[key].decode("latin-1") for key in ("name", "letters", "labels"))
         names = [label.strip() for label in labels.split(",")][: len(letters)]

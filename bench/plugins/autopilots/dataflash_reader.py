@@ -69,7 +69,7 @@ def _read_attitude(data: Mapping[str, FloatArray], scale: float = np.pi / 180) -
 
 
 def read_estimate(path: Path, core: int | None) -> OwnEstimate:
-    """Return the estimate of a core; None: of the one that flew at each time.
+    """Return the estimate of a core; None selects the core that flew at each time.
 
     Raises
     ------
@@ -105,7 +105,7 @@ def read_estimate(path: Path, core: int | None) -> OwnEstimate:
 
 
 class _Lanes:
-    """The records of one core of a family, or of the one that flew at each time."""
+    """The records of one core of a family, or of the core that flew at each time."""
 
     def __init__(self, log: DataFlash, family: str, core: int | None) -> None:
         self.log, self.family, self.events = log, family, list[EventRow]()
@@ -138,7 +138,7 @@ class _Lanes:
         return t[order], {name: np.concatenate([one[name] for _, one in parts])[order] for name in names}
 
     def _take_core(self, of: int | str, core: int) -> tuple[FloatArray, dict[str, FloatArray]]:
-        """Return those of a core: by a field of EKF3, by numbers five on for each core of EKF2."""
+        """Return the records of a core: by a field of EKF3, by numbers five on for each core of EKF2."""
         numbered = isinstance(of, int) and self.family == "NKF"
         record = f"{self.family}{of}" if isinstance(of, int) else f"{self.family[:2]}{of}"
         if isinstance(of, int) and numbered:
@@ -165,7 +165,7 @@ def _find_origins(log: DataFlash) -> tuple[FloatArray, FloatArray]:
 
 
 def _list_messages(log: DataFlash) -> list[EventRow]:
-    """Return what the filters said of their resets; old logs say it without a time."""
+    """Return the messages of the filters on their resets; old logs have these messages without a time."""
     if "MSG" not in log or not log.read("MSG"):
         return []
     t, _ = take_records(log, "MSG")
@@ -177,7 +177,7 @@ def _list_messages(log: DataFlash) -> list[EventRow]:
 
 
 def _read_variances(lanes: _Lanes, motion: OwnMotion) -> tuple[FloatArray, FloatArray]:
-    """Return the covariances of EKF3; those of the quaternion become angles in n."""
+    """Return the covariances of EKF3; covariances of the quaternion become angles in n."""
     if lanes.family != "XKF" or "XKV1" not in lanes.log:
         return no_values(9)
     t, data = lanes.take("V1")
@@ -240,7 +240,7 @@ def _read_px4(log: DataFlash) -> OwnEstimate:
 
 
 def _find_height(log: DataFlash, local: Mapping[str, FloatArray]) -> FloatArray:
-    """Return the height of the reference (N,): its own is that of the barometer, so that of the first fix."""
+    """Return the height of the reference (N,) by the first fix, because its own height is barometric."""
     _, gps = take_records(log, "GPS")
     fixed = gps["Fix"] >= 3
     height = float(gps["Alt"][fixed][0] + local["Z"][0]) if fixed.any() else np.nan

@@ -97,7 +97,7 @@ def read(form: str, path: Path, kind: str, topic: str | None) -> LogRows:
 
 
 def take_records(log: DataFlash, name: str) -> tuple[FloatArray, dict[str, FloatArray]]:
-    """Return times (N,) and columns of ``record`` or ``record:instance``, without one of the first.
+    """Return times (N,) and columns of ``record:instance``, or of the first instance of ``record``.
 
     Times are since the start of the autopilot [s].
 
@@ -154,7 +154,7 @@ def read_parameters(log: DataFlash) -> dict[str, float]:
 
 
 def look(path: Path) -> Contents:
-    """Return what a log holds and knows."""
+    """Return the contents of a log."""
     log = open_log(path)
     parameters = read_parameters(log)
     sensors = tuple(kind for kind in _RECORDS if _has_rows(path, kind))
@@ -259,7 +259,7 @@ def _read_gnss(log: DataFlash, t: FloatArray, data: Mapping[str, FloatArray]) ->
 
 
 def _read_heading(log: DataFlash, t: FloatArray, data: Mapping[str, FloatArray]) -> Read:
-    """Return the headings of the vehicle by two antennas; exactly 0 says that there is none."""
+    """Return the headings of the vehicle by two antennas; exactly 0 means no heading."""
     yaw = data["Yaw"]
     told = np.isfinite(yaw) & (yaw != 0.0)
     values = {

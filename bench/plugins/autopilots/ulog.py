@@ -1,9 +1,9 @@
-"""PX4 ULog, read with pyulog. Fields and units are those of the uORB messages of PX4-Autopilot (msg/).
+"""PX4 ULog, read with pyulog. Fields and units are as in the uORB messages of PX4-Autopilot (msg/).
 
-Of the messages that hold a sensor the one is read that covers the time best: firmware logs some of them once
-or twice a second, for telemetry. imu: ``sensor_combined``, ``vehicle_imu`` (increments), the pairs
-``sensor_gyro`` and ``sensor_accel``; forward, right, down. Times are those of the sample if the message has
-them. A fix is as old as ``EKF2_GPS_DELAY`` says; from PX4 1.18 on its own time says so, ``SENS_GPS0_DELAY``.
+Of the messages with data of a sensor, the message that covers the time best is read: firmware logs some
+messages once or twice a second, for telemetry. imu: ``sensor_combined``, ``vehicle_imu`` (increments), the
+pairs ``sensor_gyro`` and ``sensor_accel``; forward, right, down. Times are sample times if the message has
+them. The age of a fix is ``EKF2_GPS_DELAY``; from PX4 1.18 on (``SENS_GPS0_DELAY``) its own time is used.
 """
 
 from __future__ import annotations
@@ -107,7 +107,7 @@ _BARO_SD = "EKF2_BARO_NOISE"
 
 
 def look(path: Path) -> Contents:
-    """Return what a log holds and knows."""
+    """Return the contents of a log."""
     log = open_log(path)
     sensors = []
     for kind in _TOPICS:
@@ -144,7 +144,7 @@ def read_truth(path: Path) -> OwnMotion:
 
 
 def read_estimate(path: Path, instance: int | None) -> OwnEstimate:
-    """Return the estimate of an instance of EKF2 in a log; None: of the one that flew."""
+    """Return the estimate of an instance of EKF2 in a log; None selects the instance that flew."""
     log = open_log(path)
     return ulog_motion.read_estimate(log, instance, find_undulation(log))
 

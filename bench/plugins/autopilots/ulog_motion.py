@@ -125,7 +125,7 @@ def has_estimate(log: ULog) -> bool:
 
 
 def read_estimate(log: ULog, instance: int | None, undulation: float) -> OwnEstimate:
-    """Return the estimate of an instance of EKF2; None: of the one that flew at each time.
+    """Return the estimate of an instance of EKF2; None selects the instance that flew at each time.
 
     Raises
     ------

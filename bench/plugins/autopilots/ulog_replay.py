@@ -100,7 +100,7 @@ def read_definitions(path: Path) -> Definitions:
 
 
 def _make_layout(fields: str) -> np.dtype[np.void] | None:
-    """Return the layout of a message as it is logged, without padding at its end; None: it holds another."""
+    """Return the layout of a message as logged, without padding at its end; None if not plain fields."""
     rows: list[tuple[Any, ...]] = []
     for field in fields.split(";"):
         form, _, name = field.strip().partition(" ")
@@ -241,7 +241,7 @@ def _late(out: ExportData) -> float:
 
 
 def _describe_fixes(out: ExportData) -> tuple[np.ndarray[Any, Any], dict[str, Any]]:
-    """Return when fixes were valid [us], and what they say, in the fields of all ages of the firmware."""
+    """Return the validity times of fixes [us] and their values, in the fields of all firmware versions."""
     fixes = out.select_fixes()
     stamps = _stamp(fixes.t)
     lat, lon, h = fixes.lla.T

@@ -163,7 +163,7 @@ class _Vector(NamedTuple):
 
 
 class _Biases:
-    """The processes of the biases, those of the accelerometers first, as in gtsam."""
+    """The processes of the biases, accelerometers first, as in gtsam."""
 
     def __init__(self, specs: AssumedSpecs) -> None:
         gyro, accel = core_states(specs, changing=False)[3:]

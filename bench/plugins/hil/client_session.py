@@ -1,6 +1,6 @@
-"""A client on its line while the aircraft flies: who may come, how long it may be silent, how fast it flies.
+"""Connection of a client during a flight: who may connect, its time limits, the speed of the flight.
 
-What a client does wrong ends the session with one line.
+An error of the client ends the session with one line.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ class ClientSession(ABC):
         """Send what has arrived by a time [s] and return the estimate of the client; NaN: none."""
 
     def recount(self) -> list[NavSolution]:
-        """Return nothing: a client does not say what it made of the sensors."""
+        """Return an empty list: a client does not report innovations and events."""
         return []
 
     @abstractmethod
@@ -67,21 +67,21 @@ class ClientSession(ABC):
 
     @abstractmethod
     def read(self, data: bytes) -> list[Any]:
-        """Return the messages in bytes that have come; a ValueError says in words why they are none."""
+        """Return the messages in received bytes; raise a ValueError that describes invalid bytes."""
 
     @abstractmethod
     def make_end(self, words: str, *, good: bool, known: bool = True) -> bytes:
-        """Return the last message to a client; ``known`` is False for one that is sent away."""
+        """Return the last message to a client; ``known`` is False for a client that is turned away."""
 
     @property
     @abstractmethod
     def inside(self) -> bool:
-        """Return whether a message has begun to come and not ended."""
+        """Return whether a message has begun to arrive and not ended."""
 
     def wait(self, say: Callable[[str], object]) -> None:
-        """Wait for a client that begins as it should; others are told why not.
+        """Wait for a client that begins correctly; other clients are sent the reason of their rejection.
 
-        One that does not begin keeps the line until its patience is over, or another one comes.
+        A client that does not begin keeps the connection until its time is over, or another client connects.
         """
         while True:
             self._line, address = self._server.accept()
@@ -132,7 +132,7 @@ class ClientSession(ABC):
         return found
 
     def receive_until(self, due: float) -> Any:
-        """Return the next message, None if none is read by ``due``; meanwhile send away who else comes."""
+        """Return the next message, None if there is none by ``due``; meanwhile turn away other clients."""
         assert self._line is not None
         while not self._come:
             now = time.monotonic()

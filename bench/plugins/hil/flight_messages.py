@@ -1,8 +1,8 @@
-"""The messages of a flight with a client: frames of `bench.io.streams.frames`, and what each holds.
+"""The messages of a flight with a client: frames of `bench.io.streams.frames`, and their contents.
 
-The client begins with HELLO. The server answers with HELLO and START. Then it sends again and again what has
-arrived, and TURN; the client answers with at most one ESTIMATE and one of ATTITUDE and SURFACES, and DONE.
-END is the last message of the server.
+The client begins with HELLO. The server answers with HELLO and START. Then it repeatedly sends the arrived
+data and TURN; the client answers with at most one ESTIMATE and one of ATTITUDE and SURFACES, and DONE. END is
+the last message of the server.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class FlightFrame(NamedTuple):
 
     @property
     def valid(self) -> bool:
-        """Return whether its last byte is 1."""
+        """Return whether the last byte of the payload is 1."""
         return self.payload[-1:] == b"\x01"
 
 

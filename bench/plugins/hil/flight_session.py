@@ -24,7 +24,7 @@ _FASTEST, _LARGEST_BIAS, _LARGEST_SD = 1e4, 100.0, 1e7  # [m/s], [rad/s] or [m/s
 
 @dataclass(frozen=True, slots=True)
 class FlightFacts:
-    """Facts that a client gets before the flight."""
+    """Data that a client gets before the flight."""
 
     rate: float  # of the IMU [Hz]
     period: float  # between turns [s]
@@ -73,7 +73,7 @@ class FlightSession(ClientSession):
 
     @property
     def inside(self) -> bool:
-        """Return whether a frame has begun to come and not ended."""
+        """Return whether a frame has begun to arrive and not ended."""
         return self._reader.inside
 
     def make_end(self, words: str, *, good: bool, known: bool = True) -> bytes:

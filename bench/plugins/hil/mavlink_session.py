@@ -95,7 +95,7 @@ class ActuatorChannels:
 
 @dataclass
 class _Readings:
-    """Values that HIL_SENSOR repeats until the next measurement."""
+    """Values that a HIL_SENSOR repeats until they are measured again."""
 
     air: float  # height of the air that the pitot tube feels [m]
     mag: tuple[float, float, float] = (0.0, 0.0, 0.0)  # [gauss]
@@ -163,7 +163,7 @@ class MavlinkSession(ClientSession):
 
     @property
     def inside(self) -> bool:
-        """Return whether a message has begun to come and not ended."""
+        """Return whether a message has begun to arrive and not ended."""
         return bool(self._mav.buf_len())
 
     def make_end(self, words: str, *, good: bool, known: bool = True) -> bytes:
@@ -332,7 +332,7 @@ class MavlinkSession(ClientSession):
         self._begun = math.nan  # that is no delay behind the rate
 
     def _take(self, message: Any) -> bool:
-        """Take a message; return whether it held controls."""
+        """Process a message; return whether it contained controls."""
         if message.get_type() != "HIL_ACTUATOR_CONTROLS":
             return False
         self._answers = True

@@ -1,4 +1,4 @@
-"""The verb serve: a client flies, or says where the aircraft is."""
+"""The verb serve: a client flies, or estimates the position of the aircraft."""
 
 from __future__ import annotations
 

@@ -104,7 +104,7 @@ class _Loop(FilterLoop):
 
 
 class ErrorEkfEstimator(Classic22):
-    """The errors of an INS that is never corrected, by the generic filter; the states are those of A-5.4.1.
+    """The errors of an INS that is never corrected, by the generic filter; states as in A-5.4.1.
 
     Options: `bench.navigation.options.ClassicOptions`.
     """

@@ -132,11 +132,11 @@ def settle_gain(P: FloatArray, nav: Nav, sig: Sigmas, rates: tuple[float, float]
 
 
 class CompensatedDifferences(GivenGain):
-    """INS less GNSS holds errors only: a slow filter takes them off (mutual compensation).
+    """INS minus GNSS contains errors only: a slow filter removes them (mutual compensation).
 
     Each difference goes through a loop with both poles at exp(-T / time_constant): position by itself; a
     horizontal velocity and the tilt that bends it, k1 = 1 - z^2 and k2 = (1 - z)^2 / (g T); the vertical
-    velocity and the error of the upward accelerometer; the height by the barometer, and the bias of that
+    velocity and the error of the upward accelerometer; the height by the barometer, and the barometer bias
     against GNSS. No gyro bias and no heading.
     """
 

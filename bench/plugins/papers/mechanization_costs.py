@@ -58,7 +58,7 @@ class Options(StudyOptions):
 
 
 class AlgorithmCosts(NamedTuple):
-    """Cost of an algorithm."""
+    """Errors and processor time of an algorithm."""
 
     motion: IntervalMotion
     position_m: float

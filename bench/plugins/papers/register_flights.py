@@ -78,14 +78,14 @@ def average_nis(solutions: Iterable[NavSolution], begin: float, end: float) -> d
 
 
 def step_of_2_g() -> RowFinding:
-    """#31: NIS through a step of 2 g, and with a receiver whose loops of 1 Hz are behind by it."""
+    """#31: NIS through a step of 2 g, and with a receiver that lags behind it by loops of 1 Hz."""
     whole, behind = measure_step(), measure_step(**{"sensors.gnss.tracking_bandwidth_hz": 1.0})
     text = f"{_tell_nis(whole)}; loops of 1 Hz {behind['gnss_position'].mean:.0f}"
     return RowFinding(text, _check_nis(whole, behind))
 
 
 def _check_nis(right: Mapping[str, MeanNis], wrong: Mapping[str, MeanNis]) -> tuple[Bounded, ...]:
-    """Return that the fixes of a filter are in the band, and those of one that is told wrong above it."""
+    """Return bounds: NIS of fixes inside its band for ``right``, above its band for ``wrong``."""
     inside = (Bounded(right[name].mean, right[name].low, right[name].high) for name in _FIXES)
     return (*inside, *(Bounded(wrong[name].mean, wrong[name].high, math.inf) for name in _FIXES))
 
@@ -163,7 +163,7 @@ def count_seconds(flights: Sequence[WatchedFlight]) -> dict[str, tuple[float, fl
 
 
 def require_performance() -> RowFinding:
-    """#33: the lines of a procedure by flights of tight, held against a count of their seconds."""
+    """#33: the lines of a procedure by flights of tight, compared with a count of their seconds."""
     work = _KeepingWorkers(1)
     with work:
         found = rnp.run(rnp.Options(profiles=("waypoints",), gnss="sky-l1", runs=FLIGHTS), work)

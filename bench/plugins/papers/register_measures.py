@@ -38,7 +38,7 @@ class Bounded(NamedTuple):
 
     @property
     def holds(self) -> bool:
-        """Return whether it does; NaN does not."""
+        """Return whether the value lies within its bounds; False for NaN."""
         return self.low <= self.value <= self.high
 
 
@@ -48,7 +48,7 @@ def below(value: float, most: float) -> Bounded:
 
 
 def near(value: float, wanted: float, within: float) -> Bounded:
-    """Return that a number is the one that is wanted, within so much."""
+    """Return bounds around a wanted value, within a tolerance."""
     return Bounded(value, wanted - within, wanted + within)
 
 
@@ -60,7 +60,7 @@ class RowFinding(NamedTuple):
 
     @property
     def holds(self) -> bool:
-        """Return whether every number is what it must be."""
+        """Return whether every value lies within its bounds."""
         return all(one.holds for one in self.checks)
 
 

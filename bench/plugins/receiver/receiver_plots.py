@@ -50,7 +50,7 @@ def find_middle(lla: FloatArray) -> FloatArray:
 
 
 def find_placed(error: FloatArray, solved: RinexFixes) -> BoolArray:
-    """Return the epochs (M,) with a fix whose error (M, 3) is known: a truth may not cover all."""
+    """Return a mask (M,) of the epochs with a fix and a known error (M, 3): a truth may not cover all."""
     return np.asarray(solved.fixes.valid & np.isfinite(error).all(axis=1))
 
 
@@ -103,7 +103,7 @@ def plot_satellites(solved: RinexFixes) -> list[Plot]:
 
 
 def plot_residuals(solved: RinexFixes) -> Iterator[Plot]:
-    """Yield the residuals of the ranges that are used, by system; those of satellites left out are none."""
+    """Yield the residuals of the ranges that are used, by system, without satellites left out."""
     seen, residual = solved.seen, solved.solution.residual
     t = count_seconds(solved)
     for system, name in enumerate(SYSTEM_NAMES):

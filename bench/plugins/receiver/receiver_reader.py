@@ -1,4 +1,4 @@
-"""Functions on receiver files for the core, as `bench.io.fix_readers` describes them."""
+"""Interface of the core to receiver files: `bench.io.fix_readers` describes these functions."""
 
 from __future__ import annotations
 

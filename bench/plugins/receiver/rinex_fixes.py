@@ -106,7 +106,7 @@ class RinexFixes:
 
     @property
     def moving(self) -> bool:
-        """Whether the receiver moves: by an event in the file, its speed, or the spread of its fixes."""
+        """Return whether the receiver moves, by an event in the file, its speed, or its fix spread."""
         good = self.fixes.valid
         if self.observations.moving or not good.any():
             return self.observations.moving
@@ -119,7 +119,7 @@ class RinexFixes:
 
     @property
     def compared(self) -> bool:
-        """Whether it is known where the antenna was: by a truth, or by the header if the receiver rests."""
+        """Return whether the antenna position is known: by a truth, or by the header if at rest."""
         approximate = self.observations.approximate_e
         known = approximate is not None and bool(approximate.any())
         return self.truth is not None or (known and not self.moving)
@@ -220,7 +220,7 @@ class RinexFixes:
         return {reason: int((self.reason == k).sum()) for k, reason in enumerate(self.reasons)}
 
     def view_sky(self, t: FloatArray) -> SkyView:
-        """Return the satellites above the horizon, at epochs with a position, whose times are t (M,) [s]."""
+        """Return the satellites above the horizon, at epochs with a position, at times t (M,) [s]."""
         los_n = self.solution.los_n
         rows = np.flatnonzero(np.isfinite(los_n[:, 2]) & (los_n[:, 2] < 0.0))
         n, e, d = los_n[rows].T
@@ -368,7 +368,7 @@ def _read(path: Path, phase: bool) -> ObservationFile:
 
 
 def _smooth(raw: ObservationFile, nav: NavigationFile, window: float) -> tuple[FloatArray, FloatArray]:
-    """Return smoothed ranges (K, 2), and the noise (K,) of the first carrier's over that of the code."""
+    """Return smoothed ranges (K, 2), and the noise (K,) of the first carrier's relative to the code noise."""
     t = np.repeat(raw.t, np.diff(raw.epoch_start))
     channels = np.zeros(256, np.int64)
     channels[nav.glonass.sat] = nav.glonass.channel
@@ -387,7 +387,7 @@ def _smooth(raw: ObservationFile, nav: NavigationFile, window: float) -> tuple[F
 def _choose_ionosphere(
     raw: ObservationFile, nav: NavigationFile, processing: Processing
 ) -> tuple[Processing, list[str]]:
-    """Return the processing with what the model of the ionosphere needs, and what is to be told."""
+    """Return the processing with the inputs of the ionosphere model, and messages for the user."""
     when = _EPOCH + timedelta(seconds=raw.origin + float(raw.t[0]))
     level = None if nav.level is None else (float(nav.level[0]), float(nav.level[1]), float(nav.level[2]))
     processing = replace(processing, level=level, day=float(when.timetuple().tm_yday))
@@ -405,7 +405,7 @@ def _choose_ionosphere(
 
 
 def _describe_lost(file: ObservationFile | NavigationFile, part: str) -> list[str]:
-    """Return a line for the first parts of a file that are left out, and one that counts the others."""
+    """Return a line for each of the first parts left out of a file, and a line that counts the rest."""
     lines = [f"{part} left out: {reason}" for reason in file.reasons[:_MOST_LINES]]
     more = file.lost - len(lines)
     return [*lines, f"{part} left out: {more} more"] if more else lines

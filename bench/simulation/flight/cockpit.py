@@ -1,4 +1,4 @@
-"""Values that legs read from the model and write to its guidance system, in SI."""
+"""Values that the legs read from the model and write to its guidance system, in SI."""
 
 from __future__ import annotations
 
@@ -181,13 +181,13 @@ class Cockpit:
         self.climb_lag = self.pitch_lag + 1 / self.gain("climb-gain")
 
     def hold_approach(self, share: float) -> None:
-        """Go over from the gains of flight, 0, to those of an approach, 1."""
+        """Interpolate the gains from the gains of flight, 0, to the gains of an approach, 1."""
         for write, begun, end in self._landed:
             write(begun + share * (end - begun))
         self._read_lags()
 
     def hold_firmly(self, share: float) -> None:
-        """Go over from the gains of flight, 0, to those of a flare in rough air, 1."""
+        """Interpolate the gains from the gains of flight, 0, to the gains of a flare in rough air, 1."""
         for write, begun, end in self._flared:
             write(begun + share * (end - begun))
 
@@ -228,7 +228,7 @@ class Cockpit:
         return self.speed_wanted if self._plan is None else max(self.speed_wanted, self._plan[1])
 
     def speed_settled(self) -> bool:
-        """Return whether no airspeed change is on its way."""
+        """Return whether no airspeed change is in progress."""
         return self._plan is None
 
     def wait_until(self, reached: Callable[[], bool], patience: float, what: str) -> Steps:

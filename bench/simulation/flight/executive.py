@@ -176,7 +176,7 @@ def find_property(fdm: Any, name: str) -> Any:
 
 
 def silent_log() -> Any:
-    """Return a logger that keeps what JSBSim says and prints nothing."""
+    """Return a logger that keeps the messages of JSBSim and prints nothing."""
     import jsbsim
 
     class FlightLog(jsbsim.DefaultLogger):
@@ -201,5 +201,5 @@ def silent_log() -> Any:
 
 
 def say_in_one_line(text: str) -> str:
-    """Return what JSBSim said as one line, without the scratch folder."""
+    """Return a message of JSBSim as one line, without the scratch folder."""
     return " ".join(_SCRATCH_PATH.sub("", text).split())[:300] or "no reason given"

@@ -62,11 +62,11 @@ def from_states(
 
 
 def at_point(motion: Motion, point_b: tuple[float, float, float]) -> Motion:
-    """Return the motion of a point fixed in the body, at point_b [m] from that of ``motion``, b.
+    """Return the motion of a point fixed in the body, at point_b [m] from the point of ``motion``, b.
 
-    The last two rows are missing, because the velocity of a row needs two neighbors on either
-    side. The first two have one-sided differences of the same order. A point that is not
-    off at all has the rows of ``motion``, bit for bit.
+    The last two rows are missing, because the velocity of a row needs two neighbors on either side. The first
+    two have one-sided differences of the same order. A point with zero offset has the rows of ``motion``, bit
+    for bit.
     """
     found = motion.select(slice(None, -2))
     if not any(point_b):

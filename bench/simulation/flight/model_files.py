@@ -56,7 +56,7 @@ def read_xml(path: Path, shown: str) -> ElementTree.Element:
 
 
 class _ElementBuilder(ElementTree.TreeBuilder):
-    """Builder of XML elements with limits on number and depth."""
+    """Builder of the elements of an XML file, with limits on their number and depth."""
 
     def __init__(self, shown: str) -> None:
         super().__init__()
@@ -119,7 +119,7 @@ def copy_aircraft(name: str, folder: Path, target: Path) -> ElementTree.Element:
 
 @dataclass(frozen=True, slots=True)
 class ScriptFacts:
-    """Facts that a script contains."""
+    """Aircraft, length and step that a script specifies."""
 
     aircraft: str
     length: float  # from its start to its end [s]
@@ -188,7 +188,7 @@ def class_of(name: str, root: Path) -> str:
 
 
 def copy_script(path: Path, target: Path) -> ScriptFacts:
-    """Copy a script without what it writes or prints, and return what it says of itself."""
+    """Copy a script without its output and messages, and return its facts."""
     facts = script_facts(path)
     strip(facts.root)
     for parent in list(facts.root.iter()):

@@ -1,7 +1,6 @@
-"""Is a motion flying? What no aircraft of its class does is found and said, not repaired.
+"""Check of the motion of a flight: motion beyond the limits of the aircraft class is reported, not changed.
 
-The report is part of the result: events of kind "sanity". A flight fails only when no
-truth can be made of it.
+The report is part of the result: events of kind "sanity". A flight fails only if no truth can be made of it.
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ _LEAST = 1.0  # shorter than this nothing can be navigated [s]
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """Limits of an aircraft class; the rates are assumed, about twice the usual ones."""
+    """Limits of an aircraft class; the rates are assumed, about twice the rates such aircraft fly."""
 
     load_low: float  # load factors of the design [g]
     load_high: float
@@ -116,7 +115,7 @@ def report_sanity(stretches: Iterable[Stretch], category: str) -> Iterator[Stret
 
 
 class _Report:
-    """Motions beyond the class of an aircraft, collected from the segments of its flight."""
+    """Motion beyond the limits of the class of an aircraft, collected from the segments of its flight."""
 
     def __init__(self, category: str) -> None:
         self._category, self._limits = category, LIMITS[category]

@@ -1,4 +1,4 @@
-"""Steps of JSBSim with a model.
+"""Motion of a JSBSim model, step by step.
 
 Each step gives position, velocity and attitude, nothing else: the rates and accelerations JSBSim reports lag
 or lead them and are not used. JSBSim moves the center of gravity, truth is the motion of the IMU. Two things

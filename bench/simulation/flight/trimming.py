@@ -175,10 +175,10 @@ def start_engines(fdm: Any) -> None:
 
 
 def run_engines(fdm: Any) -> None:
-    """Bring running engines to the steady state of the present throttle, the aircraft held where it is.
+    """Bring running engines to the steady state of the present throttle, with the aircraft frozen in place.
 
-    They start at full throttle. JSBSim's own search for a steady state steps by 0.5 s, with
-    which a propeller with its governor swings for ever: here they run for a while at a fine step.
+    They start at full throttle. JSBSim's own search for a steady state steps by 0.5 s, at which a propeller
+    with a governor oscillates forever: here they run for a while at a fine step.
     """
     dt = fdm.get_delta_t()
     start_engines(fdm)

@@ -44,7 +44,7 @@ class Stretch:
 
 
 def make_truth(stretches: Iterable[Stretch], rate: float) -> Iterator[Trajectory]:
-    """Yield the truth of each segment of a flight: put together it is that of one segment, bit for bit.
+    """Yield the truth of each segment of a flight; joined, the pieces equal one segment, bit for bit.
 
     Parameters
     ----------

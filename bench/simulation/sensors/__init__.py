@@ -68,7 +68,7 @@ def sense(truth: Trajectory, spec: SensorsSpec, seed: int, run: int) -> Sensed:
 
 
 class SensedPiece(NamedTuple):
-    """Measurements of the sensors over a piece of a flight."""
+    """Sensor data of a piece of a flight."""
 
     data: SensorData  # rows by their time of validity; no epochs of answers
     initial: InitialState  # at the start of the flight

@@ -36,7 +36,7 @@ class SensorDraws:
         self._memory: dict[tuple[str, str], Any] = {}
 
     def part(self, name: str) -> SensorDraws:
-        """Return the streams and the memory whose names begin with ``name.``."""
+        """Return the streams and the memory with names that begin with ``name.``."""
         found = SensorDraws(self._seed, self._run)
         found._prefix, found._memory = f"{self._prefix}{name}.", self._memory
         return found

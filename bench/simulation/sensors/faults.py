@@ -306,7 +306,7 @@ def compute_range_errors(
 
 
 def _match_satellites(fault: Fault, system: IntArray, sat: IntArray) -> BoolArray:
-    """Return a mask of the rows (K,) whose satellite the fault names."""
+    """Return a mask of the rows (K,) of the satellites that the fault names."""
     named = np.zeros(len(sat), bool)
     for code, number in fault.satellites:
         named |= (system == code) & (sat == number)

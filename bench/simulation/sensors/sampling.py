@@ -1,4 +1,4 @@
-"""Common model of aiding instruments: epochs, errors, noise, resolution, times of arrival."""
+"""Common parts of the aiding sensors: epochs, drawn errors, noise, resolution, times of arrival."""
 
 from __future__ import annotations
 

@@ -89,7 +89,7 @@ def shake_kernel(
 
 @kernel
 def interpolate_kernel(t: FloatArray, at: FloatArray, values: FloatArray, out: FloatArray) -> None:
-    """Fill out (N,) with values (A,) at times ``at`` (A,), interpolated to t (N,) and held at both ends."""
+    """Fill out (N,) with values (A,) at times ``at`` (A,), interpolated to t (N,), constant beyond."""
     j = 0
     for k in range(len(t)):
         while j < len(at) - 1 and at[j + 1] <= t[k]:

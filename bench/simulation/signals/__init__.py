@@ -1,1 +1,1 @@
-"""Models of sky, air and noise that sensors and filters share."""
+"""Models of the sky, the air and the noise of sensors, shared by sensors and filters."""

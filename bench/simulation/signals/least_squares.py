@@ -82,7 +82,7 @@ def find_pierce_points(los_n: FloatArray, el: FloatArray) -> FloatArray:
 
 
 class _Padded:
-    """Some epochs side by side: row of each place (M, S), and which places hold a row that may be used."""
+    """Several epochs as one array: row of each place (M, S), and mask of the places with a usable row."""
 
     def __init__(self, epochs: IntArray, epoch_start: IntArray, used: BoolArray) -> None:
         self.epochs = epochs  # all of one width: no bit of a fix depends on the others
@@ -229,10 +229,10 @@ def _iterate(
 
 
 def _reweight(normalized: FloatArray, used: BoolArray, final: bool) -> FloatArray:
-    """Return the factor on the variance of each row (M, S): that of Huber at first, then that of IGG III.
+    """Return the factor on the variance of each row (M, S): Huber's factor at first, then that of IGG III.
 
-    The first grows with the residual, from the bent solution that faults leave towards the one that most
-    ranges agree with; the second has no bound. It takes residuals relative to their median, if that is larger
+    The first grows with the residual and moves the solution, bent by faults, towards the one that most ranges
+    agree with; the second has no bound. It takes residuals relative to their median, if the median is larger
     than it would be without faults.
 
     Yang, Song, Xu, Robust filter for correlated observations based on bifactor equivalent weights,

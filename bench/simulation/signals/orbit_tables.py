@@ -30,7 +30,7 @@ def find_rows(table: OrbitTable, sat: IntArray, t: FloatArray) -> IntArray:
 
 
 def _place(table: OrbitTable, t: FloatArray) -> tuple[IntArray, IntArray]:
-    """Return the interval between two epochs (K,) that holds t, and the first node of the polynomial."""
+    """Return the interval between two epochs (K,) that contains t, and the first node of the polynomial."""
     last = len(table.t) - 2
     interval = np.clip(np.searchsorted(table.t, t, side="right") - 1, 0, last)
     return interval, np.clip(interval - NODES // 2 + 1, 0, len(table.t) - NODES)
@@ -74,6 +74,6 @@ def compute_states(table: OrbitTable, rows: IntArray, t: FloatArray) -> Satellit
 
 
 def find_stated_sd(table: OrbitTable, rows: IntArray, t: FloatArray) -> FloatArray:
-    """Return what the file says of the accuracy (K,) [m] of satellites ``rows`` (K,) at t (K,) [s]."""
+    """Return the accuracy (K,) [m] in the file for satellites ``rows`` (K,) at t (K,) [s]."""
     interval, _ = _place(table, t)
     return np.asarray(np.maximum(table.sd[rows, interval], table.sd[rows, interval + 1]))

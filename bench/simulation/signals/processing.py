@@ -1,4 +1,4 @@
-"""Processing of ranges to fixes: signals, corrections and assumed errors."""
+"""Processing of ranges to fixes in a receiver: ranges used, corrections, and assumed errors."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ _STRENGTH = 45.0  # C/N0 of the code noise in a budget [dB-Hz]
 
 @dataclass(frozen=True, slots=True)
 class Processing:
-    """Processing options of a receiver."""
+    """Settings with which a receiver computes its fixes."""
 
     systems: str = "all"  # as :func:`parse_systems` takes it
     ionosphere: Ionosphere = "klobuchar"

@@ -76,7 +76,7 @@ def look_around(o: GnssObservations, pos_e: FloatArray, processing: Processing) 
 
 
 class _Satellites(NamedTuple):
-    """Satellite states from the ephemerides, for each row."""
+    """Satellite data of each row from the ephemerides."""
 
     pos: FloatArray  # (K, 3)
     vel: FloatArray  # (K, 3)

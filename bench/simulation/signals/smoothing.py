@@ -1,4 +1,4 @@
-"""Carrier-smoothed code: the Hatch filter, begun anew where the count of cycles is lost.
+"""Carrier-smoothed code: the Hatch filter, restarted after a loss of the cycle count.
 
 Hatch, The Synergism of GPS Code and Carrier Measurements, Proc. 3rd Int. Geodetic Symposium on Satellite
 Doppler Positioning, 1982.

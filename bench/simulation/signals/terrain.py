@@ -53,7 +53,7 @@ class TerrainGrid:
     heights: FloatArray  # (R, C) [m]; NaN where there is none
 
     def heights_at(self, lat: ArrayLike, lon: ArrayLike) -> FloatArray:
-        """Return the heights at places (...) [rad] [m]; NaN outside and beside one that is missing."""
+        """Return the heights [m] at places (...) [rad]; NaN outside the grid and next to missing heights."""
         row = (np.asarray(lat, float) - self.south) / self.step
         beyond = np.asarray(lon, float) - self.west
         turns = np.floor((beyond + _ROUNDING * self.step) / math.tau)
@@ -126,7 +126,7 @@ def ground_at(spec: TerrainSpec, lat: ArrayLike, lon: ArrayLike) -> FloatArray:
 
 
 def read_grid(spec: TerrainSpec) -> TerrainGrid:
-    """Return the grid of a spec; `ConfigError` if its file is no longer the one that was described."""
+    """Return the grid of a spec; raise a `ConfigError` if its file has changed since it was described."""
     return _read_again(spec.path, spec.digest)
 
 

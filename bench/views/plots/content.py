@@ -1,4 +1,4 @@
-"""Data of a run that can be plotted, and the tabs of plots."""
+"""Data of a run to plot, and the definition of a tab of plots."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ FAR = 20.0
 
 
 def carrier(solutions: Mapping[str, NavSolution], *, in_space: bool = True) -> Carrier:
-    """Return the motion the first filter that has one says there was, where it is finite.
+    """Return the finite rows of the motion of the first solution that has any.
 
     If not ``in_space``, a position is enough.
 
@@ -72,7 +72,7 @@ def carrier(solutions: Mapping[str, NavSolution], *, in_space: bool = True) -> C
 
 @dataclass(frozen=True, slots=True)
 class Content:
-    """Data of a run that can be plotted."""
+    """Data of a run to plot."""
 
     motion: Motion
     sensed: Sensed
@@ -94,7 +94,7 @@ class Content:
 
     @property
     def looks(self) -> dict[str, DrawnLook]:
-        """Return how each filter is drawn."""
+        """Return the color and dash of each filter."""
         return choose_looks(self.solutions)
 
     @property

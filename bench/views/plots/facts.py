@@ -1,4 +1,4 @@
-"""Description of flight and sensors in words, for report and recording."""
+"""Facts on the flight and its sensors, in words: for the report and the recording."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ _T = TypeVar("_T")
 
 
 def merge_results(results: Mapping[str, RunResult]) -> RunResult:
-    """Return one result that holds the filters of several, each with the name of its result.
+    """Return one result with the filters of several results, each with the name of its result.
 
     Parameters
     ----------

@@ -79,7 +79,7 @@ def write(path: Path, name: str, result: RunResult) -> None:
 
 
 def write_recording(folder: str | Path, out: str | Path | None = None, *, force: bool = False) -> Path:
-    """Write the recording of a results folder, also of one that was written without, and return its path.
+    """Write the recording of a results folder, even if it was written without one, and return its path.
 
     Parameters
     ----------

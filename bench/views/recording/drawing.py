@@ -1,4 +1,4 @@
-"""Conversion of a plot to a recording: thinned lines and dots, hatches for shaded intervals."""
+"""Conversion of a plot to a recording: lines and dots, thinned, and hatches for shaded intervals."""
 
 from __future__ import annotations
 

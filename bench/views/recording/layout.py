@@ -67,7 +67,7 @@ def make_blueprint(scene: Scene, plots: Plots, main: str) -> Any:
 
 
 class LinkedBlueprint(rrb.Blueprint):
-    """A blueprint whose linked time axes begin on the whole flight, where the viewer shows a minute of it."""
+    """A blueprint with linked time axes that begin on the whole flight, not on the minute of the viewer."""
 
     def __init__(self, end: float, *parts: Any, **options: Any) -> None:
         super().__init__(*parts, **options)
@@ -131,7 +131,7 @@ def _make_tab(scene: Scene, tab: Tab, columns: Mapping[str, Rows]) -> Any:
 
 
 def _make_rows(scene: Scene, rows: Rows, *, label: str) -> Iterator[Any]:
-    """Yield the views of each row; titles leave out the label that stands on the tab.
+    """Yield the views of each row; titles leave out the label, which is on the tab.
 
     A plot has a legend if it names anything that no plot before it does; the title is enough for one name.
     """

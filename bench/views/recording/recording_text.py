@@ -1,4 +1,4 @@
-"""Texts of a recording: the summary, the log of events, and the legs with their times."""
+"""Text of a recording: the summary, the log of events, and the times of the legs."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def _name_faults(t: float, struck: Sequence[tuple[float, float, str]]) -> str:
 
 
 def _send_phase(stream: Any, entity: str, changes: Sequence[tuple[float, str]], end: float) -> None:
-    """Send what holds from which time on, until the end [s]."""
+    """Send states with their begin times, up to the end [s]."""
     if changes:
         t, states = zip(*changes, (end, ""), strict=True)
         stream.send_columns(

@@ -51,7 +51,7 @@ def draw_allan(path: Path, measured: AllanResult) -> None:
 
 
 def draw_curve(axes: Axes, curve: AllanCurve, spec: ImuSpec | None) -> None:
-    """Draw a measured Allan deviation beside that of the datasheet."""
+    """Draw a measured Allan deviation beside the curve of the datasheet."""
     unit, factor = SHOWN_UNITS[curve.triad]
     tau, measured, low, high = curve.tau, factor * curve.measured, factor * curve.low, factor * curve.high
     floor = 0.3 * measured.min()

@@ -1,4 +1,4 @@
-"""The report of a campaign: what many runs say together, on one HTML page."""
+"""The report of a campaign: the statistics of many runs, on one HTML page."""
 
 from __future__ import annotations
 

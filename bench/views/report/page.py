@@ -67,7 +67,7 @@ def check_page(path: Path, *, force: bool) -> None:
 
 
 def make_page(name: str, result: RunResult) -> str:
-    """Return the report of a result as HTML; ``name`` is that of its folder."""
+    """Return the report of a result as HTML; ``name`` is the name of its folder."""
     content = gather_content(result, in_space=False)
     profile = result.profile
     shades = series.shades(result.events) if content is not None else ()
@@ -171,7 +171,7 @@ def _tabulate_events(result: RunResult) -> FindingTable:
 
 
 def read_day(result: Path) -> str:
-    """Return when the file that holds a result was written, day and minute of local time."""
+    """Return the time at which the file of a result was written, day and minute of local time."""
     return write_minute(datetime.fromtimestamp(result.stat().st_mtime))
 
 
@@ -181,7 +181,7 @@ def write_minute(moment: datetime) -> str:
 
 
 def list_provenance(provenance: Mapping[str, Any]) -> Iterable[tuple[str, str]]:
-    """Yield name and text of what says where figures come from."""
+    """Yield name and text of each entry of the provenance."""
     for key, value in provenance.items():
         if isinstance(value, Mapping):
             inner = (f"{k} {v:.3g}" if isinstance(v, float) else f"{k} {v}" for k, v in value.items())
@@ -228,7 +228,7 @@ def _draw_sections(
 def _make_group(
     label: str, rows: series.Rows, window: tuple[float, float], shades: tuple[series.Shade, ...]
 ) -> dict[str, Any]:
-    """Return the figures of a filter on a tab; a legend that all of them share stands in the heading."""
+    """Return the figures of a filter on a tab; a legend common to all of them is in the heading."""
     paired = len(rows) > 1 and all(len(row) == 2 for row in rows)
     plots = [plot for row in (zip(*rows, strict=True) if paired else rows) for plot in row]
     figures = [make_figure(plot, window, shades) for plot in plots]

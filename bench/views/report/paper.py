@@ -238,14 +238,14 @@ def _draw(plots: Sequence[Plot], shades: Sequence[Shade], width_mm: float, serif
 
 
 class _Legend(NamedTuple):
-    """Placement of the names of a plot: beside its title, or in rows below it."""
+    """Place of the legend of a plot: beside its title, or in rows below it."""
 
     columns: int  # 0: without a legend
     rows: int  # 0: beside the title
 
 
 def _plan_legends(plots: Sequence[Plot], room: float) -> list[_Legend]:
-    """Return the legend of each plot, outside its lines; one whose names stand above already has none.
+    """Return the legend of each plot, outside its lines; no legend if a plot above already has the names.
 
     ``room`` is the width of a plot [pt].
     """

@@ -76,7 +76,7 @@ def _name_column(name: str) -> str:
 
 
 def _find_kind(values: Sequence[object]) -> str:
-    """Return the class of a column: text stands on the left, long text on several lines."""
+    """Return the class of a column: text is aligned left, long text wraps over several lines."""
     if not any(isinstance(value, str) for value in values):
         return "number"
     return "words" if max(len(format_cell(value)) for value in values) > _LONG else "text"

@@ -33,7 +33,7 @@ Window = tuple[float, float]
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """Mapping of values to a picture: an area in steps, and the values at its edges."""
+    """Area of a picture: its size in pixels, and the values at its edges."""
 
     x: Window  # values at the left and the right edge
     y: Window  # values at the lower and the upper edge
@@ -212,7 +212,7 @@ def round_steps(low: float, high: float, most: int) -> FloatArray:
 
 
 def round_marks(low: float, high: float, most: int, *, log: bool) -> tuple[FloatArray, FloatArray]:
-    """Return where round numbers stand on an axis, and the numbers."""
+    """Return the positions of round numbers on an axis, and the numbers."""
     if not log:
         steps = round_steps(low, high, most)
         return steps, steps
@@ -356,7 +356,7 @@ def _draw_labels(frame: Frame, plot: Plot) -> Iterable[str]:
 
 
 def _draw_dots(frame: Frame, x: FloatArray, y: FloatArray, kind: str, color: Color, name: str) -> str:
-    """Return dots; those of one pixel column that touch become one stroke."""
+    """Return dots; dots of one pixel column that touch become one stroke."""
     good = np.isfinite(x) & np.isfinite(y)
     columns, rows = frame.place(x[good], y[good])
     grid = int(_GRAIN)
@@ -410,7 +410,7 @@ def _write_path(kind: str, data: str, color: Color, name: str) -> str:
 
 
 def css_color(color: Color) -> str:
-    """Return a color as it is written in CSS; one of the palette by its variable."""
+    """Return a color in CSS syntax; a color of the palette as its variable."""
     slot = find_slot(color)
     if slot is not None:
         return f"var(--s{slot})"

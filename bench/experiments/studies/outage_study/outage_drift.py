@@ -163,7 +163,7 @@ def make_profile(options: Options, unit: str, phase: str, longest: float) -> Pro
 
 
 def make_grid(profile: Profile, elapsed: Sequence[float]) -> tuple[float, ...]:
-    """Return every second since the loss, and the times asked for, as far as the outage goes [s]."""
+    """Return every second since the start of the outage and the requested times, up to its end [s]."""
     start, stop = profile.sensors.gnss_outages[0]
     last = min(elapsed[-1], stop - start)
     grid = np.union1d(np.arange(1.0, last), [*elapsed, last])

@@ -83,7 +83,7 @@ def find_time(seconds: FloatArray, values: FloatArray, limit: float) -> float | 
 
 
 def fill_grades(grades: Sequence[Grown], elapsed: Sequence[float], limit: float) -> FindingTable:
-    """Return the growth by grade at the times asked for, and when it is beyond the limit [m]."""
+    """Return the drift by grade at the requested times [m], and the time at which it exceeds the limit."""
     rows = [
         (one.name, one.phase, T, *values, find_time(one.seconds, one.east, limit))
         for one in grades

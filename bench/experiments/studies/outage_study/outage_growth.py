@@ -27,7 +27,7 @@ class Drift:
 
     @cached_property
     def good(self) -> FloatArray:
-        """The runs (K, D, 5) that are not lost."""
+        """Return the runs (K, D, 5) with finite drift."""
         return self.grown[np.isfinite(self.grown).all(axis=(1, 2))]
 
     @property

@@ -24,7 +24,7 @@ Drifts = Mapping[tuple[str, str], Drift]
 
 
 def _rows(drift: Drift, elapsed: Sequence[float]) -> Iterator[tuple[float, int]]:
-    """Yield the times that are asked for and flown, with their rows."""
+    """Yield the requested times within the flown outage, with their rows."""
     for T in elapsed:
         k = int(np.argmin(np.abs(drift.grid - T)))
         if abs(drift.grid[k] - T) < SAME_INSTANT:
@@ -106,7 +106,7 @@ def tell_drifts(
     elapsed: Sequence[float],
     limit: float,
 ) -> Iterator[str]:
-    """Yield drift, time to the limit, what makes it, pairs, reported sigmas and lost runs in sentences."""
+    """Yield sentences on drift, time to the limit, its sources, pairs, reported sigmas and diverged runs."""
     for phase, told in pairs.items():
         parts, times = [], []
         grid = drifts[units[0], phase].grid

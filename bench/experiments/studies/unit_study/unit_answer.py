@@ -21,7 +21,7 @@ from bench.experiments.studies.unit_study.unit_ranking import ClassStep, Ranking
 
 @dataclass(frozen=True)
 class Answer:
-    """Result of all IMUs on one flight with one filter."""
+    """Result of one filter on one flight for all IMUs."""
 
     profile: str
     label: str
@@ -33,13 +33,13 @@ class Answer:
 
     @property
     def missed(self) -> bool:
-        """Return whether every unit misses what is required, or is not usable."""
+        """Return whether every IMU misses the requirements, or is not usable."""
         words = {one.verdict for one in self.ranking.flown.values()}
         return bool(self.required) and not words & {MET, UNDECIDED}
 
     @property
     def undecided(self) -> bool:
-        """Whether a cheaper class may meet what is required, or none is shown to and not all miss it."""
+        """Return whether a cheaper class may meet the limits, or none is shown to and not all miss them."""
         none = self.ranking.recommended is None and not self.missed
         return none or bool(self.ranking.list_undecided())
 

@@ -34,18 +34,18 @@ class UnitFlown:
 
     @property
     def lost(self) -> int:
-        """Draws whose filter diverged, failed or has no such figure."""
+        """Return the number of runs that diverged, failed or do not have the metric."""
         return int(np.isnan(self.values).sum())
 
     @property
     def rms(self) -> Estimate | None:
-        """Root mean square over the runs that are not lost, with its interval; None of fewer than two."""
+        """Return the root mean square over the converged runs, with its interval; None of fewer than two."""
         known = self.values[~np.isnan(self.values)]
         return pool_rmse(np.square(known)) if len(known) >= _LEAST else None
 
     @property
     def verdict(self) -> str:
-        """Return whether it is usable, and keeps what is required."""
+        """Return the verdict: "not usable", "usable", or whether the requirements are met."""
         if self.lost:
             return "not usable"
         words = {one.word for one in self.findings}
@@ -53,7 +53,7 @@ class UnitFlown:
 
     @property
     def loss(self) -> str:
-        """Return how many draws it lost, and of how many of all it loses."""
+        """Return the number of runs that diverged, and the interval of their percentage, in words."""
         rate = estimate_rate(self.lost, len(self.values))
         ends = (format_number(100.0 * end, 2) for end in (rate.low, rate.high))
         return f"{self.unit} {self.lost} of {len(self.values)} ({' to '.join(ends)} % of all)"
@@ -70,7 +70,7 @@ class ClassStep:
 
     @property
     def pays(self) -> bool:
-        """Return whether it is shown to be better than what is cheaper."""
+        """Return whether the class is shown to be better than cheaper classes, or is the cheapest."""
         return self.gain is None or self.gain.word == "better"
 
 

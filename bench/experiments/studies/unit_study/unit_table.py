@@ -220,7 +220,7 @@ class _Flights:
 
     @property
     def looks(self) -> Looks:
-        """Return how many runs there are whenever they are looked at, up to the most."""
+        """Return the number of runs at each look, up to the largest."""
         most = self._options.max_runs
         if most is None:
             shares = [float(row["share"]) for label in self.labels for row in self.required(label)]

@@ -210,7 +210,7 @@ def make_fixes(numbers: FloatArray, twist: FloatArray) -> LogRows:
 
 @contextmanager
 def _open_bag(path: Path) -> Iterator[Bag]:
-    """Open a ROS 1 file, a ROS 2 folder or one of its files."""
+    """Open a ROS 1 file, a ROS 2 folder or a file in a ROS 2 folder."""
     from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_typestore
 
@@ -277,7 +277,7 @@ def _ros2_name(name: str) -> str:
 
 
 class _JsonMessage(dict[str, Any]):
-    """A JSON object whose entries are attributes."""
+    """A JSON object with its entries as attributes."""
 
     def __getattr__(self, name: str) -> Any:
         try:

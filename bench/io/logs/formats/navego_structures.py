@@ -20,9 +20,9 @@ _FIELDS = {"imu": {"t", "wb", "fb"}, "gnss": {"t", "lat", "lon", "h"}}
 
 
 def list_sensors(path: Path, kind: str) -> list[str]:
-    """Return the structures of a MATLAB file that hold an "imu" or "gnss" of NaveGo, shortest name first.
+    """Return the structures of a MATLAB file with an "imu" or "gnss" of NaveGo, shortest name first.
 
-    One with an attitude, such as ``ref``, is the last choice.
+    A structure with an attitude, such as ``ref``, is the last choice.
     """
     needed = _FIELDS.get(kind)
     if needed is None:

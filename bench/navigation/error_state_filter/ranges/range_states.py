@@ -71,7 +71,7 @@ def list_range_errors(sky: SkySpec, system: int) -> tuple[float, float, float]:
 
 
 def _range_errors(specs: AssumedSpecs) -> list[States]:
-    """Return unit states; their columns of H hold how large the errors are at an elevation (`ranging`)."""
+    """Return unit states; their columns of H contain the size of the errors at an elevation (`ranging`)."""
     sky = assumed(specs, "gnss").sky
     vertical = _find_vertical(sky)
     times = [

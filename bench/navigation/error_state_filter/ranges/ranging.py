@@ -168,7 +168,7 @@ def make_sky(
 
 
 def _combine(frequency: FloatArray) -> FloatArray:
-    """Return the error (K,) of the ionosphere-free combination over those of its carriers (K, 2) (B-11)."""
+    """Return the error factor (K,) of the ionosphere-free combination of two carriers (K, 2) (B-11)."""
     gamma = (frequency[:, 1] / frequency[:, 0]) ** 2
     return np.asarray(np.sqrt(1.0 + gamma**2) / (1.0 - gamma))
 

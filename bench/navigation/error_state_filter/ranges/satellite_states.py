@@ -31,11 +31,11 @@ def _number(o: GnssObservations) -> IntArray:
 
 
 class Channels(SessionState):
-    """Data of each satellite: gate channels for range and rate, and a state of its own.
+    """Channels of the gate for the range and rate of each satellite, and the state of each satellite.
 
-    The channels follow on those of the sensors, in the order in which satellites appear. The states of a
-    constellation are few: one that rises gets that of the satellite which has been gone for the longest time,
-    `GONE` at least; it is not used before.
+    The channels follow the channels of the sensors, in the order in which satellites appear. The states of a
+    constellation are few: a rising satellite gets the state of the satellite that has been gone for the
+    longest time, `GONE` at least; it is not used before.
     """
 
     names: Replaced[list[str]]
@@ -84,7 +84,7 @@ def _give_kernel(
     own: IntArray,
     fresh: IntArray,
 ) -> None:
-    """Fill own and fresh (K,) as :meth:`Channels.give_states` returns them; ``held`` and ``seen`` go on."""
+    """Fill own and fresh (K,) as :meth:`Channels.give_states` returns them; update ``held`` and ``seen``."""
     for k in range(number.shape[0]):
         begin, end = places[number[k] // 1000]
         free, place = begin, -1

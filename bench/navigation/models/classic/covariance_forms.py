@@ -24,7 +24,7 @@ from bench.navigation.options import ClassicOptions
 
 
 class Form(SessionState, ABC):
-    """What every form does; ``x`` is the estimate (n,), in the form's own precision."""
+    """Methods of every form; ``x`` is the estimate (n,), in the precision of the form."""
 
     x: Kept[Floats]
 
@@ -106,7 +106,7 @@ class Joseph(WholeForm):
 
 
 class Conventional(Joseph):
-    """P - K H P, as printed for the generic filter (B-19b): the form that the others stand against."""
+    """P - K H P, as printed for the generic filter (B-19b): the form that the others are compared with."""
 
     def _use(self, Y: Floats, H: Floats, R: Floats) -> None:
         x, P = self.kf.x, self.kf.P

@@ -1,4 +1,4 @@
-"""Measurement model of the 22 states: H, its noise and the lever arm (A-5.4.3), and outputs in n."""
+"""Observation model of the 22 states: H, its noise and the lever arm (A-5.4.3), and outputs in n."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from bench.navigation.models.stepped_filters import Measurement
 
 
 class Fix(NamedTuple):
-    """Report of a receiver."""
+    """A fix of a receiver."""
 
     lat: float  # [rad]
     lon: float  # [rad]

@@ -1,4 +1,4 @@
-"""Process model of the 22 states: datasheet (A-5.1.8, A-5.3), GNSS errors (A-5.2), Phi and G (A-5.4.2)."""
+"""Process model of the 22 states: datasheets (A-5.1.8, A-5.3), GNSS errors (A-5.2), Phi, G (A-5.4.2)."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ NOISES = 28
 
 @dataclass(frozen=True, slots=True)
 class Sigmas:
-    """The figures of the filter's model, standard deviations unless said otherwise; SI."""
+    """The parameters of the filter's model, standard deviations unless noted otherwise; SI."""
 
     gyro: float  # angular random walk, sigma_omega [rad/sqrt(s)]
     accel: float  # velocity random walk, sigma_a [m/s/sqrt(s)]

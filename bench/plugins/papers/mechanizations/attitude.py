@@ -136,7 +136,7 @@ def _quaternion_of(C: FloatArray) -> Quaternion:
 
 
 class OneQuaternion:
-    """Quaternion to the frame, whose turn is resolved by the attitude before the step (A-2.2.4)."""
+    """Quaternion to the frame; its turn is resolved by the attitude before the step (A-2.2.4)."""
 
     def __init__(self, C: FloatArray) -> None:
         self.C, self.q = C, _quaternion_of(C)

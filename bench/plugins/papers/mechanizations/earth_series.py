@@ -12,7 +12,7 @@ _exact_gravity = gravity_kernel.py_func  # type: ignore[attr-defined]
 
 
 class EarthModel(NamedTuple):
-    """Earth model of a mechanization."""
+    """Model of the Earth in a mechanization."""
 
     radii: str = "exact"
     """A key of :data:`RADII`."""

@@ -98,7 +98,7 @@ class Geodetic(Triad):
         self._at = (*self._curvature(math.sin(self.lat), self.h), math.cos(self.lat))
 
     def _ahead(self, north: float, up: float, ahead: float) -> tuple[float, float, float, float, float]:
-        """Return sine and cosine of the latitude, the curvatures and the height where the figures hold."""
+        """Return sine and cosine of latitude, curvatures and height at the time of the slow values."""
         lat, h = self.lat + ahead * north * self._at[0], self.h + ahead * up
         s, c = math.sin(lat), math.cos(lat)
         k_m, k_p = self._curvature(s, h)

@@ -29,7 +29,7 @@ _CODES_2 = {
 
 
 class Signal(NamedTuple):
-    """Columns of code, Doppler, C/N0 and phase of a signal among the observables."""
+    """Positions of code, Doppler, C/N0 and phase of a signal among the observables."""
 
     code: int
     doppler: Sequence[int]  # its own, then those of the other signals of the carrier

@@ -43,7 +43,7 @@ _MESSAGES_4 = {"LNAV": "G", "FDMA": "R", "INAV": "E", "FNAV": "E", "D1": "C", "D
 
 
 class _Kind(NamedTuple):
-    """Format of the Keplerian records of a system."""
+    """Properties of the Keplerian records of a system."""
 
     system: int
     name: str
@@ -95,7 +95,7 @@ class NavigationFile:
 
 @dataclass(slots=True)
 class _Found:
-    """Content read so far."""
+    """Data read so far."""
 
     kepler: dict[str, array[float]] = field(default_factory=dict)
     glonass: array[float] = field(default_factory=lambda: array("d"))
@@ -192,7 +192,7 @@ def _read_header(lines: Lines, found: _Found) -> None:
 
 
 def _read_frame(lines: Lines, line: str, found: _Found) -> None:
-    """Read what stands behind a line with > of RINEX 4: an ephemeris, or the ionosphere."""
+    """Read the record after a line with > of RINEX 4: an ephemeris, or the ionosphere."""
     frame = _FRAME_4.match(line)
     if frame is None:
         raise lines.error(f"a record must begin here; got {line[:32].strip()!r}")

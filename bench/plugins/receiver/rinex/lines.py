@@ -39,7 +39,7 @@ class Lines:
         """Why the first of them are left out."""
 
     def read_packed(self) -> str | None:
-        """Return the first line; what follows is restored if it says that the file is Compact RINEX."""
+        """Return the first line; if it is the header of Compact RINEX, unpack the file from then on."""
         line = self.read_line()
         if line is not None and line[60:72] == "CRINEX VERS " and not isinstance(self._file, CompactText):
             self._file = CompactText(self._file, self.shown, line)
@@ -83,7 +83,7 @@ class Lines:
         self.number -= 1
 
     def skip_to(self, head: re.Pattern[str]) -> None:
-        """Skip the lines before the next one that matches, or to the end of the file."""
+        """Skip the lines before the next matching line, or to the end of the file."""
         while True:
             try:
                 line = self.read_line()
@@ -159,7 +159,7 @@ def open_lines(path: Path, shown: str) -> Iterator[Lines]:
 
 
 def find_kind(path: Path, shown: str) -> str:
-    """Return what a file holds: "observations", "navigation", "sp3" or "ubx".
+    """Return the kind of a file: "observations", "navigation", "sp3" or "ubx".
 
     Raises
     ------

@@ -272,9 +272,9 @@ class _EpochRows:
     def _choose(
         self, lines: Lines, line: str, start: int, signals: Sequence[Signal], scales: list[float] | None
     ) -> tuple[tuple[float, ...], int, bool]:
-        """Return code, Doppler, C/N0 and phase of the first signal with a code, its band, and a lost count.
+        """Return code, Doppler, C/N0 and phase of the first signal with a code, its band, and a slip flag.
 
-        A Doppler or C/N0 that it does not have is that of another signal of the carrier.
+        A missing Doppler or C/N0 is taken from another signal of the carrier.
         """
         for chosen in signals:
             code = _read_field(lines, line, start + 16 * chosen.code)
@@ -313,7 +313,7 @@ class _EpochRows:
             del self.whole[_WHOLE * rows :]
 
     def find_increasing(self) -> BoolArray:
-        """Mark a longest sequence of epochs (M,) whose times increase; of equal times, the first."""
+        """Return a mask (M,) of a longest sequence of increasing times; of equal times, the first."""
         times = np.array(self.midnight) + np.array(self.second)
         kept = np.ones(len(times), np.bool_)
         if len(times) < 2 or (np.diff(times) > 0).all():

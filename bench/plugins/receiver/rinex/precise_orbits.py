@@ -45,7 +45,7 @@ class PreciseFile:
 
 @dataclass(slots=True)
 class _PreciseRows:
-    """Content read so far."""
+    """Data read so far."""
 
     t: array[float] = field(default_factory=lambda: array("d"))
     sats: dict[str, int] = field(default_factory=dict)  # name of each satellite that has a position -> number

@@ -25,7 +25,7 @@ _TAIL = 256  # of the text of a code that the table holds [byte]; what is before
 
 
 class UnpackingError(Exception):
-    """A packed file is damaged, or holds too much; the text follows the name of the file."""
+    """A packed file is damaged, or contains too much; the text follows the name of the file."""
 
 
 def open_text(path: Path, shown: str) -> io.TextIOWrapper:

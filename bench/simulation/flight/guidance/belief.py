@@ -1,10 +1,10 @@
-"""State used by guidance and legs: the truth, or the estimate of a navigation filter.
+"""State that guidance and legs use: the truth, or the estimate of a navigation filter.
 
 ``held``: truth plus the error of the last estimate, estimate minus truth at its validity. An ideal filter
-changes nothing. ``state``: the last estimate itself, as a box without extrapolation gives it, late and in
-steps. Both move from one estimate to the next within 50 ms, because a step between two samples would put a
-corner into the truth that no sensor record can follow. The body rates are measured: truth plus the error of
-the gyro bias.
+changes nothing. ``state``: the last estimate itself, late and in steps, like the output of a navigation
+system without extrapolation. Both move from one estimate to the next within 50 ms, because a step between two
+samples would put a corner into the truth that no sensor record can follow. The body rates are measured: truth
+plus the error of the gyro bias.
 """
 
 from __future__ import annotations
@@ -109,7 +109,7 @@ class Belief:
         return believed
 
     def _locate(self, lla: FloatArray, vel_n: FloatArray, q_nb: FloatArray) -> FloatArray:
-        """Return the values of a state of the IMU, those of position at the center of gravity.
+        """Return the values of a state of the IMU, with the position of the center of gravity.
 
         The velocities of the two differ by millimeters a second per error of the attitude, which is left out.
         """

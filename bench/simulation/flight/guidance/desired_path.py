@@ -1,6 +1,6 @@
-"""Deviation of a flight from the desired path of its legs: waypoints, and a runway.
+"""Deviation of a flight from the path that its legs wanted: of waypoints, and of a runway.
 
-Of a runway the path is the extended centerline, from the turn onto it on, and the glide path below the height
+The path of a runway is the extended centerline, from the turn onto it on, and the glide path below the height
 at which the approach began. Legs by heading, bank or surface have no path.
 """
 

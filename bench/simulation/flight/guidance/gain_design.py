@@ -53,7 +53,7 @@ _STARTS = {  # of engines, and a clean aircraft; those that a model has are set
 
 @dataclass(frozen=True, slots=True)
 class GainDesign:
-    """Gains found for an aircraft."""
+    """Result of the gain design for an aircraft."""
 
     alt: float  # ellipsoidal [m]
     speed: float  # true airspeed [m/s]
@@ -124,7 +124,7 @@ def set_properties(
 
 
 def find_stubs(aircraft: AircraftSpec) -> tuple[str, ...]:
-    """Return what the model reads and nothing in it has, one found at each load; 0 stands for it."""
+    """Return the properties that the model reads but does not define, found one per load; 0 replaces them."""
     stubs: tuple[str, ...] = ()
     while True:
         try:
@@ -265,5 +265,5 @@ def plan_acceptance(aircraft: AircraftSpec, design: GainDesign) -> FlightSpec:
 
 
 def attempts() -> Iterator[tuple[float, ...]]:
-    """Lift coefficients, paces and holds of `design_gains` in the order they are tried."""
+    """Yield lift coefficients, paces and holds of `design_gains` in the order they are tried."""
     yield from ((0.4, 1.0), (0.3, 1.0), (0.55, 1.0), (0.3, 0.6), (0.2, 1.0), (0.15, 1.0), (0.3, 1.0, 5.0))

@@ -1,7 +1,7 @@
-"""Commands of an external program: attitude and throttle, or surfaces and throttle.
+"""External commands to the controls of a flight: attitude and throttle, or surfaces and throttle.
 
-A command acts from the tick on that follows its turn, 50 ms after the time that it answers. The loops of
-guidance smooth it: bank and pitch by the lags of their set-points, surfaces by 50 ms.
+A command acts from the tick after its turn on, 50 ms after the time that it answers. The loops of guidance
+smooth it: bank and pitch by the lags of their set-points, surfaces by 50 ms.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ class SurfaceCommand:
 
 
 class Commands:
-    """The command that holds now, and whether more can come."""
+    """The present command, and whether more can come."""
 
     def __init__(self) -> None:
         self.wanted: AttitudeCommand | SurfaceCommand | None = None
@@ -96,7 +96,7 @@ class Commanded(Leg):
         return f"of a client, {self.duration:g} s"
 
     def fly(self, cockpit: Cockpit) -> Steps:
-        """Write the command that holds, at each time; a client that has gone ends the flight."""
+        """Write the present command at each time; a client that has disconnected ends the flight."""
         for _ in range(round(self.duration * GUIDANCE_RATE)):
             if self.commands.ended:
                 raise FlightError(self.commands.ended)

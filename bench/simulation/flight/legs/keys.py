@@ -23,7 +23,7 @@ SIDES: Mapping[str, int] = {"right": 1, "left": -1, "shorter": 0}
 
 @dataclass(frozen=True, eq=False)
 class Key:
-    """A key of a profile, and what it may hold."""
+    """A key of a profile, and its allowed values."""
 
     name: str  # ends in its unit
     words: str
@@ -53,12 +53,12 @@ class KeyedField(NamedTuple):
 
     @property
     def row(self) -> type[Any] | None:
-        """Return what an array holds."""
+        """Return the type of the rows of an array."""
         return get_args(self.type)[0] if get_origin(self.type) is tuple else None
 
     @property
     def choices(self) -> tuple[str, ...]:
-        """Return what a text may be."""
+        """Return the allowed texts."""
         return get_args(self.type) if get_origin(self.type) is Literal else ()
 
 
@@ -66,7 +66,7 @@ _KNOWN: dict[type[Any], tuple[KeyedField, ...]] = {}
 
 
 def keys_of(made: type[Any]) -> tuple[KeyedField, ...]:
-    """Return what the fields of a class say of their keys: a leg, or a row in one."""
+    """Return the keys of the fields of a class: a leg, or a row in a leg."""
     if made not in _KNOWN:
         hints, found = get_type_hints(made, include_extras=True), []
         for entry in sorted(fields(made), key=lambda entry: bool(entry.kw_only)):
@@ -80,13 +80,13 @@ def keys_of(made: type[Any]) -> tuple[KeyedField, ...]:
 
 
 def write_key(leg: Leg, name: str) -> str:
-    """Return a field as it stands in the file: ``bank_deg = 30 deg``."""
+    """Return a field as written in the file: ``bank_deg = 30 deg``."""
     key = next(entry.key for entry in keys_of(type(leg)) if entry.field == name)
     return quantity(key.name, key.from_si(getattr(leg, name)))
 
 
 def require_one(values: Mapping[str, Any]) -> None:
-    """Raise ValueError unless exactly one of the keys has a value."""
+    """Raise ValueError unless exactly one key has a value."""
     given = [name for name, value in values.items() if value is not None]
     if len(given) != 1:
         raise ValueError(f"has {' and '.join(given) or 'none of them'}: needs one of {', '.join(values)}")
@@ -98,7 +98,7 @@ def format_deg(angle: float) -> str:
 
 
 def side_of(value: float) -> str:
-    """Return the side that a sign stands for."""
+    """Return the side of a sign."""
     return "right" if value > 0 else "left"
 
 

@@ -149,7 +149,7 @@ class LandingRoll(Leg):
     hold: Annotated[float, Key("hold_s", "duration of the stop at the end", *SECONDS)] = 10.0
 
     def fly(self, cockpit: Cockpit) -> Generator[None, None, str]:
-        """Lower the nose, throttle back, brake to a standstill; returns where it stands in words."""
+        """Lower the nose, throttle back, brake to a standstill; return the final position in words."""
         runway, figures = find_runway(cockpit)
         center = Centerline(cockpit, runway)
         cockpit.course = runway.heading

@@ -62,7 +62,7 @@ class Taxi(Leg):
         return check_runway(start.aircraft)
 
     def fly(self, cockpit: Cockpit) -> Steps:
-        """Throttle and brakes hold a speed that falls to zero at each stop; the nose wheel steers."""
+        """Hold a speed by throttle and brakes that falls to zero at each stop; steer by the nose wheel."""
         runway, _ = find_runway(cockpit)
         center = Centerline(cockpit, runway)
         cockpit.course = runway.heading
@@ -221,7 +221,7 @@ def lower_nose(cockpit: Cockpit, center: Centerline) -> Steps:
 
 
 def _with_full_power(cockpit: Cockpit, speed: float, steps: Steps) -> Steps:
-    """Leave the power as it is until the airspeed [m/s] has nearly come, then hold that."""
+    """Keep the power until the airspeed [m/s] is nearly reached, then hold that airspeed."""
     cockpit.set_speed(speed)  # what lacks of it is taken off the climb already
     held = False
     for _ in steps:

@@ -144,7 +144,7 @@ class WindUpTurn(AtSpeed):
         return [f"{write_key(self, 'bank')} must be 20 deg or more to either side"] if flat else []
 
     def fly(self, cockpit: Cockpit) -> Steps:
-        """Roll to the bank, pull by elevator until the load factor is there, hold it, roll out."""
+        """Roll to the bank, pull by elevator up to the load factor, hold it, roll out."""
         alt, side, bank = cockpit.alt_wanted, math.copysign(1.0, self.bank), abs(self.bank)
         cockpit.set_bank_limit(bank)
         cockpit.set_bank(cockpit.bank_wanted())
@@ -206,7 +206,7 @@ def _pitch_to(cockpit: Cockpit, pitch: float) -> Steps:
 
 
 def _recovered(cockpit: Cockpit) -> Steps:
-    """Fly on until the wings are level and the altitude is held."""
+    """Fly on until the wings are level and the wanted altitude is reached."""
 
     def level() -> bool:
         near = abs(cockpit.alt_wanted - cockpit.alt()) < _NEAR_ALT and abs(cockpit.climb()) < _NEAR_CLIMB

@@ -116,7 +116,7 @@ class PointToPoint(AtSpeed):
     def _find_heights(
         self, cockpit: Cockpit, plane: Plane, path: SegmentPath, ways: list[float], alts: list[float]
     ) -> Heights | None:
-        """Return the heights along the path, whose points are at their ways; None: the present one."""
+        """Return the heights along the path with its points at ``ways``; None keeps the present height."""
 
 
 @dataclass(frozen=True)
@@ -217,7 +217,7 @@ class Survey(AtSpeed):
         return f"{strips} to the {self.side}, bank {format_deg(self.bank)}"
 
     def fly(self, cockpit: Cockpit) -> Steps:
-        """Return where strips are closer than a turn is wide, the turn bulges out."""
+        """Fly the strips; if they are closer than the diameter of a turn, the turn bulges out."""
         plane = cockpit.plane_here()
         radius = turn_radius(cockpit, self.bank)
         path = _begin_path(plane, self.course)

@@ -240,7 +240,7 @@ class _Turbulence:
         return self._run()
 
     def _go_on(self) -> None:
-        """Draw the gusts of the next 0.05 s, in which wind, height and airspeed are those of its start."""
+        """Draw the gusts of the next 0.05 s, with the wind, height and airspeed at its start."""
         self._wind_fps = [read() for read in self._wind]
         through_air = math.hypot(
             *(read() - wind for read, wind in zip(self._over_ground, self._wind_fps, strict=True))

@@ -39,7 +39,7 @@ def set_wind(fdm: Any, wind_n: FloatArray) -> None:
 
 
 class Weather:
-    """Wind over the flight, besides turbulence."""
+    """Wind and gusts over the flight, without turbulence."""
 
     def __init__(self, fdm: Any, spec: FlightSpec) -> None:
         self._fdm = fdm

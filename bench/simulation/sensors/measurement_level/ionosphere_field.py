@@ -1,9 +1,9 @@
-"""Residual error of the broadcast ionosphere model, as a field over the shell that signals pierce.
+"""Ionosphere error left by the broadcast model, as a field over the shell that signals pierce.
 
-Signals that pierce it near each other share it: its correlation is ``exp(-distance / decay)``, that of the
-covariance by which a receiver weighs its ranges, times ``exp(-dt / correlation time)``. It is a sum of waves.
-Wave vectors whose directions and lengths follow the three-dimensional Cauchy distribution of scale 1 / decay
-have that correlation over the chord as their mean, for exp(-r) is the characteristic function of that.
+Signals that pierce it near each other share it: its correlation is ``exp(-distance / decay)``, as in the
+covariance by which a receiver weights its ranges, times ``exp(-dt / correlation time)``. It is a sum of
+waves. Wave vectors with directions and lengths from the three-dimensional Cauchy distribution of scale 1 /
+decay have this correlation over the chord as their mean, since exp(-r) is its characteristic function.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def draw_waves(normal: FloatArray, decay: float) -> FloatArray:
 
 
 def locate_pierce_points(seen: Look, epoch: IntArray) -> FloatArray:
-    """Return where signals (K,) pierce the shell (K, 3) [m], e; ``epoch`` (K,) is that of each row."""
+    """Return the points (K, 3) [m], e, at which signals pierce the shell; ``epoch`` (K,) of each signal."""
     flat = find_pierce_points(seen.los_n, seen.el)
     away = np.hypot(flat[:, 0], flat[:, 1])
     angle = away / SHELL

@@ -318,7 +318,7 @@ def _make_observations(
 
 
 def _hears(content: IntArray, start: IntArray, held: faults.HeldRows) -> BoolArray:
-    """Return a mask of the epochs ``content`` (M,), of this piece or held, that have a satellite."""
+    """Return a mask of the epochs ``content`` (M,), of this piece or kept ones, that have a satellite."""
     older = [len(observations.t) > 0 for observations, _ in held.rows]
     known = np.concatenate([np.array(older, bool), np.diff(start) > 0])
     heard: BoolArray = known[content + len(older)]

@@ -229,7 +229,7 @@ def track_constellation(sky: SkySpec, t: FloatArray) -> tuple[IntArray, IntArray
 
 
 def find_orbits(sky: SkySpec, system: int) -> KeplerSets | GlonassSets:
-    """Return the true orbits of a constellation: those of the datasheet, else nominal ones."""
+    """Return the true orbits of a constellation: from the datasheet, else nominal orbits."""
     return (sky.orbits or {}).get(system) or orbits.make_nominal(system)
 
 

@@ -1,4 +1,4 @@
-"""Plots with one line for each filter."""
+"""Quantities that filters have in common, a line for each filter in one plot."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def _plots(content: Content) -> Mapping[str, Rows]:
 
 
 def _take_sizes(plot: Plot) -> Plot:
-    """Return a plot of the sizes on a logarithmic axis: one that runs away leaves the others readable."""
+    """Return a plot of the sizes on a logarithmic axis, so that a diverging line leaves others readable."""
     lines = [replace(one, values=np.maximum(np.abs(one.values), LEAST)) for one in plot.series]
     path = ("comparison-log", plot.path[1])
     return replace(plot, path=path, title=f"size of {plot.title}", series=tuple(lines), far=np.inf, log="y")

@@ -1,4 +1,4 @@
-"""Plots of the flight: motion, air, controls and instruments."""
+"""Flight data: motion, air, controls, and their measurements by the sensors."""
 
 from __future__ import annotations
 

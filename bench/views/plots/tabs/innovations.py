@@ -42,7 +42,7 @@ def _plots(content: Content) -> Mapping[str, Rows]:
 
 
 def _rows(content: Content, label: str, color: Color) -> Rows:
-    """Return a row per sensor of several components; then those of one component, each NIS, and the NEES."""
+    """Return a row per sensor of several components; then scalar sensors, each NIS, and the NEES."""
     rows: list[list[Plot]] = []
     others: list[Plot] = []
     error, table = content.errors[label], content.solutions[label].innovations
