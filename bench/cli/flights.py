@@ -120,12 +120,14 @@ class _Shelf(click.Choice[str]):
     """Choice of a shelf of `bench list`; the error for the name of a catalog entry names its shelf."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        if value == "filters":
+            return "estimators"
         if value not in self.choices:
             from bench.cli.verbs.show import list_catalog
             from bench.io.config.listing import KINDS
 
             if value in KINDS:
-                self.fail(f"{value!r} is a kind of sensor: bench list sensors")
+                return value
             there = list_catalog()
             del there["packages"]  # the other shelves have these, too
             shelves = {one.name.lower(): shelf for shelf, found in there.items() for one in found}
@@ -149,10 +151,9 @@ class _Shelf(click.Choice[str]):
 def list_all(kind: str | None, as_json: bool, long: bool) -> int:
     """List profiles, sensors, filters and studies.
 
-    KIND is profiles, aircraft, legs, sensors, estimators, exports, studies, metrics or
-    packages. For
-    sensors and aircraft the command also prints sources and assumed values, for legs all keys with
-    limits and defaults, and for packages what each installed package adds.
+    KIND is profiles, aircraft, legs, sensors, filters, exports, studies, metrics or packages, or a kind
+    of sensor such as imu or gnss. For sensors and aircraft the command also prints sources and assumed
+    values, for legs all keys with limits and defaults, and for packages what each of them adds.
     """
     from bench.cli.verbs.show import list_catalog, print_catalog, print_sensors
 

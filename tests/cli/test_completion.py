@@ -1,5 +1,6 @@
 """The shell completes names and keys, and a near name is offered for a wrong one."""
 
+import json
 import subprocess
 import sys
 
@@ -74,6 +75,16 @@ def test_a_word_that_is_no_topic_names_the_pages_that_have_it(capsys):
 def test_the_name_of_a_unit_is_told_where_it_is_listed(capsys):
     assert main(["list", "STIM300"]) == 2
     assert "stim300 is in 'bench list sensors'" in capsys.readouterr().err
+
+
+def test_filters_and_the_kinds_of_sensors_are_listed(capsys):
+    assert main(["list", "imu", "--json"]) == 0
+    (imus,) = json.loads(capsys.readouterr().out).values()
+    assert {entry["kind"] for entry in imus} == {"imu"}
+    assert "stim300" in [entry["name"] for entry in imus]
+    assert main(["list", "filters", "--json"]) == 0
+    (filters,) = json.loads(capsys.readouterr().out).values()
+    assert "loose-full" in [entry["name"] for entry in filters]
 
 
 def test_a_figure_without_its_sensor_is_told_what_begins_it(capsys):

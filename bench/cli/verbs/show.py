@@ -148,7 +148,9 @@ _SHELVES: Mapping[str, tuple[str, Callable[[], list[CatalogEntry]]]] = {
 
 
 def list_catalog(kind: str | None = None) -> dict[str, list[CatalogEntry]]:
-    """Return the catalog entries of all shelves by name of the shelf, or of the shelf ``kind`` alone."""
+    """Return the catalog entries of all shelves by name; with ``kind``, one shelf or one kind of sensor."""
+    if kind in KINDS:
+        return {"sensors": [entry for entry in config.list_sensors() if entry.kind == kind]}
     return {name: entries() for name, (_, entries) in _SHELVES.items() if kind in (None, name)}
 
 
