@@ -62,7 +62,7 @@ guide: .venv/ready
 	$(BIN)/python -m tests.tools.guide_tables
 	BENCH_WRITE_GUIDE=1 $(BIN)/pytest -q tests/workbench/test_guide.py -k every_block
 
-# the pictures of bench/guide, which Chromium takes; half an hour for what they show
+# the pictures of bench/guide, taken with Chromium; about ten minutes for what they show
 pictures: .venv/ready
 	$(BIN)/python -m tests.tools.guide_pictures
 

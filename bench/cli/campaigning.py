@@ -123,7 +123,7 @@ def campaign(sources: tuple[str, ...], as_json: bool, strict: bool, **options: A
     "--goal",
     type=click.Choice(["consistency", "rmse"]),
     default="consistency",
-    help="a covariance that describes the errors, or the least horizontal RMSE",
+    help="optimize the consistency of the covariance, or the horizontal RMSE",
 )
 @click.option(
     "--factor",

@@ -349,7 +349,7 @@ def _follow(
 
 
 def _tell_height(belief: Belief, data: SensorData, piece: Trajectory, on_board: SensorsSpec) -> None:
-    """Return what the radar altimeter has measured last, as an error of the height above ground."""
+    """Pass on what the radar altimeter has measured last, as an error of the height above ground."""
     radar = data.radar
     if radar is None or not len(radar.t):
         return

@@ -261,7 +261,7 @@ def test_the_estimators_of_a_card_have_their_labels(uses, label, options, labels
     plan, found = card_making.plan_card(card_making.QUICK, *uses, HERE, label, options)
     assert found == (*labels, "free-inertial")
     assert set(found) == set(plan.cells[0].profile.labels)
-    said = "^the card has 'loose-15' already: give the one to evaluate another name with --label$"
+    said = "^the card already has a filter 'loose-15'; use --label to rename yours$"
     for own, name in (("loose-22", "loose-15"), ("loose-15", None)):
         with pytest.raises(ConfigError, match=said):
             card_making.plan_card(card_making.QUICK, own, "loose-15", HERE, name, {"baro": False})

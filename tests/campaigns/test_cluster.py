@@ -30,7 +30,7 @@ from bench.experiments.campaigns.journal import NAME
 from bench.experiments.campaigns.pools import SerialExecutor
 from tests.campaigns.test_campaign import PROFILE
 
-distributed = pytest.importorskip("distributed", reason="pip install 'ins-gnss-bench[cluster]'")
+distributed = pytest.importorskip("distributed", reason="pip install dask distributed")
 pytestmark = pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::DeprecationWarning")
 
 OWN = """import sys

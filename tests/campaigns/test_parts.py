@@ -709,7 +709,7 @@ class FakeClient:
 @pytest.fixture
 def cluster(monkeypatch):
     """The module, and the client of its pools, which is not one."""
-    pytest.importorskip("distributed", reason="pip install 'ins-gnss-bench[cluster]'")
+    pytest.importorskip("distributed", reason="pip install dask distributed")
     from bench.experiments.campaigns import cluster
 
     client = FakeClient()

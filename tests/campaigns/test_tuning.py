@@ -409,7 +409,7 @@ def test_figures_are_grouped_by_how_they_begin():
     }
     with pytest.raises(ConfigError, match=r"no assumed figure begins with 'imu\.gyra'"):
         noise_factors.group_figures(known, ["imu.gyro", "imu.gyra"])
-    with pytest.raises(ConfigError, match="have no figure to tune"):
+    with pytest.raises(ConfigError, match="have no noise parameter to tune"):
         noise_factors.group_figures({"baro.baro.noise": 4.0}, None)
 
 

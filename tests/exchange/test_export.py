@@ -532,7 +532,7 @@ def test_without_rosbags_one_line_says_how_to_get_it(run, tmp_path):
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.returncode == 2
-    assert done.stderr == "error: rosbag2 needs the package rosbags: pip install 'ins-gnss-bench[logs]'\n"
+    assert done.stderr == "error: rosbag2 needs the package rosbags: pip install rosbags\n"
     assert list(tmp_path.iterdir()) == []
 
 

@@ -141,7 +141,7 @@ def test_tables_words_and_pictures_of_a_drift_by_hand():
     longer, first, times, made, claims = tell_drifts(
         ["my/own.toml"], "mine", drifts, {"straight": []}, (10.0, 60.0, 110.0), 5.0
     )
-    assert longer == "straight: GNSS is lost for 60 s; no figure is after 110 s."
+    assert longer == "straight: the outage lasts 60 s; no result after 110 s."
     (_, last, *_) = tell_drifts(["my/own.toml"], "mine", drifts, {"straight": []}, (90.0,), 5.0)
     assert last.startswith("Drift after 60 s without GNSS"), "the last second that is flown"
     assert first.startswith(

@@ -1,4 +1,4 @@
-"""Make the pictures of the guide again: ``make pictures``. It needs Chromium, and half an hour for the card.
+"""Make the pictures of the guide again: ``make pictures``. It needs Chromium and about ten minutes.
 
 What they show is made below ``build/pictures`` by the commands that the guide names; what is there from an
 earlier time is taken. ``python -m tests.tools.guide_pictures NAME...`` makes only these pictures.

@@ -43,6 +43,12 @@ def where(gnss, lat, lon, alt):
     return {lat: deg[:, 0], lon: deg[:, 1], alt: gnss["lla"][:, 2]}
 
 
+def vectornav_gps(gnss):
+    columns = {"TimeStartup": np.round(1e9 * gnss["t"]) + 5e9}
+    columns |= where(gnss, "gnss1PosLat", "gnss1PosLon", "gnss1PosAlt")
+    return "gps.csv", ",", "", columns | axes("gnss1VelNed{}", gnss["vel_n"], "XYZ")
+
+
 def vectornav(imu, gnss):
     yield (
         "imu.csv",
@@ -55,16 +61,7 @@ def vectornav(imu, gnss):
             | {"Temperature": 30.0 + 0 * imu["t"], "Pressure": 101.0 + 0 * imu["t"]}
         ),
     )
-    yield (
-        "gps.csv",
-        ",",
-        "",
-        (
-            {"TimeStartup": np.round(1e9 * gnss["t"]) + 5e9}
-            | where(gnss, "gnss1PosLat", "gnss1PosLon", "gnss1PosAlt")
-            | axes("gnss1VelNed{}", gnss["vel_n"], "XYZ")
-        ),
-    )
+    yield vectornav_gps(gnss)
 
 
 def vectornav_increments(imu, gnss):
@@ -407,16 +404,7 @@ def vectornav_instinct(imu, gnss):
             | axes("IMU::UncompGyro::{} [rad/s]", imu["gyro"], "XYZ")
         ),
     )
-    yield (
-        "gps.csv",
-        ",",
-        "",
-        (
-            {"TimeStartup": np.round(1e9 * gnss["t"]) + 5e9}
-            | where(gnss, "gnss1PosLat", "gnss1PosLon", "gnss1PosAlt")
-            | axes("gnss1VelNed{}", gnss["vel_n"], "XYZ")
-        ),
-    )
+    yield vectornav_gps(gnss)
 
 
 STYLES = (

@@ -409,10 +409,7 @@ def _write_log(
     antenna: tuple[list[float], str] | None,
     clocks: Mapping[str, str],
 ) -> str:
-    """Return the text of the log, with a question in a comment for each value that the files do not contain.
-
-    ``rest`` [s]: duration of the initial standstill, used for the alignment.
-    """
+    """Return the log above [alignment]; a comment asks for each value that the files do not contain."""
     lines = [f"title = {quote_toml(title)}"]
     asked = {
         "imu": [

@@ -86,7 +86,7 @@ _drawers: list[Callable[..., Any]] = []
 
 
 def set_drawer(drawer: Callable[..., Any]) -> None:
-    """Return what draws results; `bench.views` does."""
+    """Set the function that draws results; `bench.views` does it."""
     _drawers[:] = [drawer]
 
 

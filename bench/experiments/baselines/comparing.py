@@ -234,8 +234,8 @@ def compare_sides(first: Side, other: Side) -> Compared:
         pairs = [(next(iter(first.draws)), next(iter(other.draws)))]
     if not pairs:
         raise ConfigError(
-            f"{other.name}: has no profile in common with {first.name}: {', '.join(other.draws)} "
-            f"and {', '.join(first.draws)}"
+            f"no common profile: {first.name} has {', '.join(first.draws)}; "
+            f"{other.name} has {', '.join(other.draws)}"
         )
     candidates: list[UncorrectedVerdict] = []
     differences: list[str] = []

@@ -49,7 +49,7 @@ class ClusterPool:
         try:
             import distributed
         except ImportError:
-            raise ConfigError("--scheduler needs dask: pip install 'ins-gnss-bench[cluster]'") from None
+            raise ConfigError("--scheduler needs dask: pip install dask distributed") from None
         from distributed.comm.core import CommClosedError
 
         self.lost: tuple[type[BaseException], ...] = (distributed.KilledWorker, CancelledError)

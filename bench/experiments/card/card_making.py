@@ -334,9 +334,7 @@ def plan_card(
         first = {"use": estimator, "label": name, "options": dict(options or {})}
         others = dict.fromkeys((against, YARDSTICK))
         if name in others:
-            raise ConfigError(
-                f"the card has {name!r} already: give the one to evaluate another name with --label"
-            )
+            raise ConfigError(f"the card already has a filter {name!r}; use --label to rename yours")
         given = [first, *({"use": use} for use in others)]
         plan = plan_campaign(replace(suite, fixed={"estimator": given}), allow_code=True, guard=guard)
         own, uses = 0, [name, *others]

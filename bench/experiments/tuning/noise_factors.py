@@ -265,7 +265,9 @@ def group_figures(known: Mapping[str, float], asked: Sequence[str] | None) -> di
         raise ConfigError(f"no assumed figure begins with {empty[0]!r}{suggest(empty[0], known, 'figures')}")
     found = {start: keys for start, keys in groups.items() if keys}
     if not found:
-        raise ConfigError(f"the assumed datasheets have no figure to tune{suggest('', known, 'figures')}")
+        raise ConfigError(
+            f"the assumed datasheets have no noise parameter to tune{suggest('', known, 'figures')}"
+        )
     return found
 
 

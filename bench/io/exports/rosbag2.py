@@ -16,7 +16,7 @@ from bench.core.words.exceptions import ExportError
 from bench.io.exports.local import to_enu, to_flu, to_poses
 from bench.io.exports.outgoing import Calendar, ExportData
 
-FORMATS = {"rosbag2": "a ROS 2 bag in the axes of REP 103 (pip install 'ins-gnss-bench[logs]')"}
+FORMATS = {"rosbag2": "a ROS 2 bag in the axes of REP 103 (needs the package rosbags)"}
 FOLDER = "bag"
 _STANDARD = (101325.0, 288.15, 0.0065, 5.25588)  # ISO 2533: [Pa], [K], [K/m], g / (R L) below 11 km
 
@@ -24,7 +24,7 @@ _STANDARD = (101325.0, 288.15, 0.0065, 5.25588)  # ISO 2533: [Pa], [K], [K/m], g
 def write(folder: Path, out: ExportData, kind: str) -> str:
     """Write the bag; return its description for the README."""
     if find_spec("rosbags") is None:
-        raise ExportError("rosbag2 needs the package rosbags: pip install 'ins-gnss-bench[logs]'")
+        raise ExportError("rosbag2 needs the package rosbags: pip install rosbags")
     from rosbags.rosbag2 import StoragePlugin, Writer
     from rosbags.typesys import Stores, get_typestore
 

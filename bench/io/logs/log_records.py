@@ -99,7 +99,9 @@ def read_records(spec: LogSpec) -> LogRecords:
     if np.isfinite(spec.until):
         imu, fixes = _cut(imu, spec.until), _cut(fixes, spec.until)
     if not imu.valid.any():
-        raise ConfigError(f"{spec.imu.path.name}: no row of the IMU is whole: no filter can run on it")
+        raise ConfigError(
+            f"{spec.imu.path.name}: every row of the IMU has a missing value, so no filter can run"
+        )
     for source, record in ((spec.imu, imu), (spec.gnss, fixes)):
         check_order(record.t, record.valid, origin, source.path.name)
     instruments = {

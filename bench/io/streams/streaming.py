@@ -98,7 +98,9 @@ def parse_address(option: str, address: str, *, remote: bool, lowest: int = 0) -
     except ValueError:
         raise ConfigError(f"{option}: {host!r} is not an IP address; 127.0.0.1 is this machine") from None
     if not ip.is_loopback and not remote:
-        raise ConfigError(f"{option}: not this machine; --allow-remote lets the messages out")
+        raise ConfigError(
+            f"{option}: the address is not on this machine; --allow-remote permits sending to it"
+        )
     return name, int(text)
 
 

@@ -64,8 +64,8 @@ def make_motion(track: FixSeries, spec: TrackSpec, shown: str) -> TableMotion:
     asked = (track.t >= spec.begin) & (track.t <= spec.end)
     if asked.sum() < LEAST_FIXES:
         raise ConfigError(
-            f"{shown}: [track] from_s and to_s leave {int(asked.sum())} of {len(track.t)} fixes, which last "
-            f"{track.t[-1]:.6g} s; at least {LEAST_FIXES} are needed"
+            f"{shown}: [track] from_s and to_s select {int(asked.sum())} of {len(track.t)} fixes; "
+            f"the track lasts {track.t[-1]:.6g} s. At least {LEAST_FIXES} are needed"
         )
     t, lla = choose_piece(track.t[asked], track.lla[asked], spec.bridge, notes)
     if len(t) < LEAST_FIXES:
@@ -290,7 +290,7 @@ def _report(
     shown: str,
     jump: str,
 ) -> None:
-    """Return what was changed and the extremes; reject what no vehicle does."""
+    """Report the changes and the extremes; reject what no vehicle does."""
     rms = [math.sqrt(float((fit.left**2).sum(axis=1).mean())) for fit in (level, height)]
     told = ["told" if given is not None else "estimated" for given in (spec.noise, spec.vertical_noise)]
     notes.append(

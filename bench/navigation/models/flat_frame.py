@@ -29,7 +29,7 @@ def load_gtsam() -> Any:
         If it is not installed.
     """
     if find_spec("gtsam") is None:
-        raise EstimatorError("it needs the package gtsam: pip install 'ins-gnss-bench[graph]'")
+        raise EstimatorError("it needs the package gtsam: pip install gtsam")
     return import_module("gtsam")
 
 

@@ -139,7 +139,7 @@ class MavlinkSession(ClientSession):
         try:
             self._dialect: Any = importlib.import_module("pymavlink.dialects.v20.common")
         except ImportError:
-            raise ConfigError("--mavlink needs pymavlink: pip install 'ins-gnss-bench[mavlink]'") from None
+            raise ConfigError("--mavlink needs pymavlink: pip install pymavlink") from None
         self._channels, self._truth = channels, truth
         self._mav = self._dialect.MAVLink(None)
         self._flying: Trajectory | None = None

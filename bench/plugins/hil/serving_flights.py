@@ -44,7 +44,11 @@ PUBLIC = "bench.plugins.hil.serving"
     help="what the client sends: an estimate, or steering commands  [default: estimate]",
 )
 @click.option(
-    "--rate", type=float, default=0.0, metavar="R", help="seconds of flight per second at most; 0: lock-step"
+    "--rate",
+    type=float,
+    default=0.0,
+    metavar="R",
+    help="largest speed, as a multiple of real time; 0: lock-step without a limit",
 )
 @click.option("--patience", type=float, default=60.0, metavar="S", help="longest silence of the client")
 @click.option("--mavlink", is_flag=True, help="the client is an autopilot as PX4; it commands, port 4560")

@@ -307,7 +307,7 @@ def test_an_imu_without_a_whole_row_is_refused_in_a_line(tmp_path, capsys):
     rows += [("IMU", (6_000_000, 0, 0, 0, 0, 0, np.nan, -9.8))]
     path = write_flash(tmp_path / "x.bin", {"IMU": IMU, "GPS": GPS}, rows)
     assert main(["new", "log", str(path)]) == WRONG
-    assert capsys.readouterr().err.count("no row of the IMU is whole") == 1
+    assert capsys.readouterr().err.count("every row of the IMU has a missing value") == 1
     assert not path.with_suffix(".toml").exists()
 
 

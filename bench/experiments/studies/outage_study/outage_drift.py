@@ -79,7 +79,7 @@ class Options(FlightOptions):
     gnss: str | None = None
     """receiver, from the catalog or a file; default: l1-code, or the receiver of the profile"""
     runs: Count = 10
-    """runs of each unit and phase"""
+    """runs of each IMU in each phase of flight"""
 
 
 @dataclass(frozen=True)

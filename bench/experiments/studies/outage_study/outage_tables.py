@@ -113,7 +113,7 @@ def tell_drifts(
         flown = [T for T, _ in _rows(drifts[units[0], phase], elapsed)]
         near = min(flown or [float(grid[-1])], key=lambda T: abs(T - 60.0))
         if longer := [f"{T:g}" for T in elapsed if T not in flown]:
-            yield f"{phase}: GNSS is lost for {grid[-1]:g} s; no figure is after {', '.join(longer)} s."
+            yield f"{phase}: the outage lasts {grid[-1]:g} s; no result after {', '.join(longer)} s."
         made: dict[str, list[str]] = {}
         for unit in units:
             drift = drifts[unit, phase]

@@ -17,9 +17,7 @@ def explain_missing(needed: str, path: Path) -> Iterator[None]:
     except ModuleNotFoundError as error:
         if error.name is None or not needed or not error.name.startswith(needed):
             raise
-        raise ConfigError(
-            f"{path.name}: needs the package {needed}: pip install 'ins-gnss-bench[logs]'"
-        ) from None
+        raise ConfigError(f"{path.name}: needs the package {needed}: pip install {needed}") from None
 
 
 def describe_damage(path: Path, error: BaseException) -> ConfigError:
