@@ -98,12 +98,12 @@ MISTAKES: dict[str, tuple[Callable[[Recorded], Recorded], tuple[str, ...]]] = {
     "antenna 2 m forward": (_move((2.0, 0.0, 0.0)), ("arm_off_m",)),
     "antenna 2 m right": (_move((0.0, 2.0, 0.0)), ("arm_off_m",)),
     "antenna 2 m down": (_move((0.0, 0.0, 2.0)), ("arm_off_m",)),
-    "velocity in knots": (_of_fixes(lambda v: v / 0.5144), ("velocity_ratio_north", "velocity_ratio_east")),
+    "velocity in knots": (_of_fixes(lambda v: v / 0.5144), ("velocity_axes",)),
     "velocity east, north": (
         _of_fixes(lambda v: v[:, [1, 0, 2]]),
-        ("velocity_ratio_north", "velocity_ratio_east"),
+        ("velocity_axes",),
     ),
-    "velocity up": (_of_fixes(lambda v: v * [1, 1, -1]), ("velocity_ratio_down", "imu_axes", "force_gain")),
+    "velocity up": (_of_fixes(lambda v: v * [1, 1, -1]), ("velocity_axes", "velocity_ratio_down")),
 }
 """Mistake -> how it is made, and the checks of which one has to fail."""
 

@@ -208,7 +208,7 @@ YAWED = rotation.matrix(rotation.from_euler(0.0, 0.0, 0.6))
         (("gyro", lambda v: np.deg2rad(v)), "turn_gain", "rad/s in a column of deg/s"),
         (("accel", lambda v: v / 9.80665), "gravity_ratio", "g in a column of m/s^2"),
         (("accel", lambda v: v * 1.05), "gravity_ratio", "the scale"),
-        (("accel", lambda v: -v), "rest_tilt_deg", "mounting_deg"),
+        (("accel", lambda v: -v), "imu_axes", "show gravity, not specific force"),
         (("accel", lambda v: v @ YAWED), "triads_deg", "their axes are not the same"),
         (
             ("gyro", lambda v: v * [1.0, 1.0, -1.0]),

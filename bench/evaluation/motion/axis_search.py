@@ -1,4 +1,9 @@
-"""Search for exchanged, reversed or mis-scaled axes of an IMU that make its motion fit the receiver's."""
+"""Search for the clock offset, the axes and the unit of an IMU with which its motion fits the receiver's.
+
+The coarse offset comes first, since `clock_search` needs no axes; then all assignments of axes are tried at
+the most likely offset, and the best of them at every offset that is left. What is found replaces the
+recording as it is only if the likelihood of the whole recording rises by far.
+"""
 
 from __future__ import annotations
 
@@ -8,58 +13,80 @@ from itertools import permutations, product
 import numpy as np
 
 from bench.core.mathematics.arrays import FloatArray
-from bench.evaluation.motion.motion_fit import MotionFit, Stretches, fit_motion
+from bench.evaluation.motion.clock_search import find_offsets
+from bench.evaluation.motion.motion_fit import MotionFit, Stretches, find_stretches, fit_motion
+from bench.evaluation.motion.recorded_motion import RecordedMotion
 
 _STRETCHES = 6  # tried in the first round: those in which the velocity changes most
-_KEPT = 3  # candidates of the first round that are fitted in full
+_KEPT = 4  # candidates of the first round that are fitted in full
 _EVIDENCE = 30.0  # by which the logarithm of the likelihood must rise: residuals count as independent in it
+_SHARE = 0.3  # of the change of the velocity: what is left of it must be smaller, or noise is explained
+_RISE = 0.15  # by which it must rise for each residual: they fall by this share at least
 _NOISE = 0.05  # [m/s], as in the fit
+_TURNS = (25.0, 0.5)  # rms rate in rms rates of the course beyond which the unit of the gyros is in doubt
+_RATES = (1.0, 0.01)  # the same for the rms rate itself [rad/s]
+_DEGREE = np.pi / 180.0
 
 
 @dataclass(frozen=True, slots=True)
-class Axes:
-    """Matrices that turn the columns of a recording into the rates and forces that fit the receiver."""
+class Hypothesis:
+    """Changes to a recording: columns of the IMU times matrices, and an offset added to its times.
 
-    gyro: FloatArray  # (3, 3)
-    accel: FloatArray  # (3, 3)
-
-    @property
-    def are_given(self) -> bool:
-        """Return whether no axis is exchanged or reversed."""
-        return bool((self.gyro / self.gyro_factor == np.eye(3)).all() and (self.accel == np.eye(3)).all())
-
-    @property
-    def gyro_factor(self) -> float:
-        """Factor that converts the gyros to rad/s [1]."""
-        return float(np.abs(self.gyro).max())
-
-
-def describe_axes(axes: Axes, tilted: bool) -> str:
-    """Return a line on axes that are not as given.
-
-    A common rotation of both triads changes nothing in the fit, so one finding has several causes: the one
-    that changes a single triad is named. ``tilted``: the accelerometers, so turned, do not point up.
+    ``down`` is -1 if the vertical velocity of the receiver is reversed.
     """
-    mirrored = axes.accel[0, 0] < 0
-    proper = np.linalg.det(axes.gyro) > 0
-    if mirrored and (axes.gyro == -np.eye(3)).all():
-        return (
-            "imu: the axes are left-handed: in gyros and accelerometers alike two are exchanged "
-            "or one has the wrong sign"
-        )
-    if proper and (mirrored or tilted):
-        which, matrix = "accelerometers", axes.accel @ axes.gyro.T
-    elif not mirrored:
-        which, matrix = "gyros", axes.gyro
-    else:
-        return "imu: no single exchange of axes makes gyros and accelerometers fit the motion: both are wrong"
-    names = ", ".join(
-        f"{'-' if row.min() < 0 else ''}{'xyz'[int(np.argmax(np.abs(row)))]}" for row in np.asarray(matrix)
-    )
-    return f"imu: the {which} fit the motion with their axes x, y, z taken from {names}, not as they are"
+
+    gyro: FloatArray  # (3, 3) signed axes
+    accel: FloatArray  # (3, 3) signed axes
+    unit: float = 1.0  # factor of the gyros
+    offset: float = 0.0  # [s]
+    down: float = 1.0
+
+    @property
+    def axes_are_given(self) -> bool:
+        """Return whether no axis of the IMU is exchanged or reversed."""
+        return bool((self.gyro == np.eye(3)).all() and (self.accel == np.eye(3)).all())
 
 
-def list_axes() -> list[Axes]:
+AS_GIVEN = Hypothesis(np.eye(3), np.eye(3))
+
+
+@dataclass(frozen=True, slots=True)
+class Explained:
+    """A hypothesis, the stretches it is compared on, and the fit of what is left."""
+
+    hypothesis: Hypothesis
+    stretches: Stretches
+    fit: MotionFit
+
+    @property
+    def cost(self) -> float:
+        """Negative logarithm of the likelihood of a residual, with an unknown noise in every segment."""
+        free = 3 * np.diff(self.stretches.begin) - 6
+        return float(0.5 * free @ np.log(self.fit.rms**2 + _NOISE**2) / free.sum())
+
+
+def explain(
+    motion: RecordedMotion,
+    antenna_b: FloatArray,
+    one: Hypothesis,
+    most: int | None = None,
+    iterations: int = 10,
+) -> Explained | None:
+    """Return the fit under a hypothesis, on all stretches or the ``most`` lively ones; None without any."""
+    imu_t = motion.t + one.offset
+    t, lla, vel_n = motion.take_velocities()
+    stretches = find_stretches(imu_t, t, lla, vel_n * [1.0, 1.0, one.down])
+    if most is not None:
+        stretches = stretches.take_liveliest(most)
+    if not len(stretches):
+        return None
+    near = stretches.find_near(imu_t)
+    gyro = one.unit * motion.gyro[near] @ one.gyro.T
+    fit = fit_motion(stretches, imu_t[near], gyro, motion.accel[near] @ one.accel.T, antenna_b, iterations)
+    return Explained(one, stretches, fit)
+
+
+def list_axes() -> list[tuple[FloatArray, FloatArray]]:
     """Return the 96 assignments of axes that differ by more than a common rotation; the given one first."""
     signed = []
     for order in permutations(range(3)):
@@ -67,40 +94,50 @@ def list_axes() -> list[Axes]:
             one = np.zeros((3, 3))
             one[range(3), order] = signs
             signed.append(one)
-    return [Axes(gyro, sign * np.eye(3)) for sign in (1.0, -1.0) for gyro in signed]
+    return [(gyro, sign * np.eye(3)) for sign in (1.0, -1.0) for gyro in signed]
 
 
-def find_axes(
-    stretches: Stretches,
-    t: FloatArray,
-    gyro: FloatArray,
-    accel: FloatArray,
-    arm_b: FloatArray,
-    plain: MotionFit,
-) -> tuple[Axes, MotionFit]:
-    """Return the axes that fit best and their fit; those given unless others fit far better."""
-    units = [Axes(factor * np.eye(3), np.eye(3)) for factor in (np.pi / 180.0, 180.0 / np.pi)]
-    few = stretches.take_liveliest(_STRETCHES)
+def list_units(motion: RecordedMotion) -> list[float]:
+    """Return the factors that the unit of the gyros may need: the given one first, another if in doubt."""
+    t, _, vel_n = motion.take_velocities()
+    course = np.unwrap(np.arctan2(vel_n[:, 1], vel_n[:, 0]))
+    speed = np.hypot(vel_n[:, 0], vel_n[:, 1])
+    moves = np.minimum(speed[1:], speed[:-1]) > 0.3 * speed.max()
+    turn = float(np.sqrt(np.mean(np.square(np.diff(course) / np.diff(t))[moves])))
+    rate = float(np.sqrt(np.mean(np.square(motion.gyro - motion.gyro.mean(axis=0)).sum(axis=1))))
+    found = [1.0]
+    if rate > min(_TURNS[0] * turn, _RATES[0]):
+        found.append(_DEGREE)
+    if rate < max(_TURNS[1] * turn, _RATES[1]):
+        found.append(1.0 / _DEGREE)
+    return found
 
-    def fit(axes: Axes, on: Stretches, iterations: int) -> MotionFit:
-        return fit_motion(on, t, gyro @ axes.gyro.T, accel @ axes.accel.T, arm_b, iterations=iterations)
 
-    given, *others = list_axes()
-    tried = sorted(
-        ((weigh_residuals(fit(axes, few, 1), few), k) for k, axes in enumerate([*others, *units])),
-        key=lambda x: x[0],
+def search(motion: RecordedMotion, antenna_b: FloatArray, plain: Explained) -> Explained:
+    """Return the hypothesis that fits best; as given unless another fits far better."""
+    offsets = find_offsets(motion) or [0.0]
+    first = 0.0 if min(map(abs, offsets)) <= 1.0 else offsets[0]
+    rough = [
+        Hypothesis(gyro, accel, unit, first, down)
+        for unit in list_units(motion)
+        for gyro, accel in list_axes()
+        for down in (1.0, -1.0)
+    ]
+    tried = [explain(motion, antenna_b, one, _STRETCHES, 1) for one in rough]
+    ranked = sorted((one for one in tried if one is not None), key=lambda one: one.cost)
+    best = plain
+    moved = float(
+        np.sqrt(
+            np.mean([np.var(plain.stretches.vel_n[rows], axis=0).sum() for rows in plain.stretches.slices])
+        )
     )
-    best, best_fit = given, plain
-    cost = weigh_residuals(plain, stretches) - _EVIDENCE
-    for _, k in tried[:_KEPT]:
-        axes = [*others, *units][k]
-        found = fit(axes, stretches, 6)
-        if weigh_residuals(found, stretches) < cost:
-            best, best_fit, cost = axes, found, weigh_residuals(found, stretches)
-    return best, best_fit
-
-
-def weigh_residuals(fit: MotionFit, stretches: Stretches) -> float:
-    """Return the negative logarithm of the likelihood with an unknown noise in every segment."""
-    free = 3 * np.diff(stretches.begin) - 6
-    return float(0.5 * free @ np.log(fit.rms**2 + _NOISE**2))
+    enough = max(_RISE, _EVIDENCE / float((3 * np.diff(plain.stretches.begin) - 6).sum()))
+    for one in ranked[:_KEPT]:
+        for offset in {first, *offsets}:
+            h = one.hypothesis
+            found = explain(motion, antenna_b, Hypothesis(h.gyro, h.accel, h.unit, offset, h.down))
+            if found is None or found.cost >= min(best.cost, plain.cost - enough):
+                continue
+            if float(np.sqrt(np.mean(found.fit.rms**2))) < _SHARE * moved:
+                best = found
+    return best

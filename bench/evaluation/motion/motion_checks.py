@@ -7,12 +7,15 @@ beyond a limit and 5 of its own standard deviations.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from bench.core.mathematics.arrays import FloatArray
 from bench.core.mathematics.units import STANDARD_GRAVITY
-from bench.evaluation.motion.axis_search import Axes, describe_axes, find_axes
-from bench.evaluation.motion.motion_fit import NAMES, MotionFit, Stretches, find_stretches, fit_motion
+from bench.evaluation.motion.axis_names import name_axes
+from bench.evaluation.motion.axis_search import AS_GIVEN, Explained, Hypothesis, explain, search
+from bench.evaluation.motion.motion_fit import NAMES, MotionFit, Stretches, find_stretches
 from bench.evaluation.motion.recorded_motion import Check, RecordedMotion
 
 SIGMAS = 5.0
@@ -34,37 +37,77 @@ LEVEL_OFF = np.deg2rad(30.0)
 """Allowed angle from the up axis to the mean specific force on the move [rad]."""
 _MOVING = 2.0  # lowest ground speed that gives a course [m/s]
 _HEADING_SD = np.deg2rad(2.0)  # segments whose heading is known better are compared with the course [rad]
-_WIND_SD = 15.0  # what the wind may be [m/s]
+_ROUGH_SD = np.deg2rad(10.0)  # the same to tell which axis is forward [rad]
+_FORWARD = 0.8  # length of the mean direction of the motion in the vehicle if it moves forward [1]
+_SIDEWAYS = 0.35  # rms of the sine of the angle from the forward axis to the motion, if it does [1]
+_WIND_SD, _WIND_SHARE = 15.0, 0.3  # what the wind may be [m/s], and of the speed over ground [1]
+_LEAP, _LEAP_OFF = (13, 18), 0.3  # seconds between UTC and GPS time since 1999, and how near a shift must be
 _FIT_WELL = 0.1  # no other axes are tried if no segment has a larger residual [m/s]
 
 
-def check_motion(motion: RecordedMotion, antenna_b: FloatArray) -> list[Check]:
-    """Compare IMU and receiver; ``antenna_b`` (3,) is the antenna relative to the IMU [m], b."""
+def check_motion(motion: RecordedMotion, antenna_b: FloatArray) -> tuple[list[Check], Hypothesis]:
+    """Compare IMU and receiver; ``antenna_b`` (3,) is the antenna relative to the IMU [m], b.
+
+    Clock, axes, signs, unit, gains, biases, lever arm and the angle between the triads are one fit, so that
+    one mistake is not named as another. Returns the checks, and the changes with which the recording fits.
+    """
     stretches = find_stretches(motion.t, *motion.take_velocities())
     if not len(stretches):
         text = "gnss: too few fixes in a row; clocks, units and axes of IMU and receiver are not compared"
-        return [Check("imu_shift_s", None, text, True)]
+        return [Check("imu_shift_s", None, text, True)], AS_GIVEN
     if not motion.moves:
         text = "imu: nothing moves: clocks, units and axes of gyros, and the lever arm do not show"
-        return [Check("imu_shift_s", None, text, True)]
-    near = stretches.find_near(motion.t)
-    t, gyro, accel = motion.t[near], motion.gyro[near], motion.accel[near]
-    fit = fit_motion(stretches, t, gyro, accel, antenna_b)
-    axes = Axes(np.eye(3), np.eye(3))
-    if not fit.rms.max() < _FIT_WELL:
-        axes, fit = find_axes(stretches, t, gyro, accel, antenna_b, fit)
-    level = motion.accel.mean(axis=0) @ axes.accel.T
+        return [Check("imu_shift_s", None, text, True)], AS_GIVEN
+    given = explain(motion, antenna_b, AS_GIVEN)
+    assert given is not None
+    best = given if given.fit.rms.max() < _FIT_WELL else search(motion, antenna_b, given)
+    best, words, forward = _name(motion, antenna_b, best)
+    h, fit = best.hypothesis, best.fit
+    found = []
+    if words:
+        found.append(Check("imu_axes", None, words, False, {"imu.axes": (h.gyro, h.accel)}))
+    level = motion.accel.mean(axis=0) @ h.accel.T
     tilt = float(np.arccos(np.clip(-level[2] / np.linalg.norm(level), -1.0, 1.0)))
-    found = [] if axes.are_given else [Check("imu_axes", None, describe_axes(axes, tilt > LEVEL_OFF), False)]
     if not motion.find_standstills():
         words = f"imu: on the move the up axis is {np.rad2deg(tilt):.1f} deg off the mean specific force"
         if tilt > LEVEL_OFF:
             words += ": mounting_deg does not make z point down"
         found.append(Check("level_tilt_deg", float(np.rad2deg(tilt)), words, tilt <= LEVEL_OFF))
-    found += [check_shift(fit), check_rate_gain(fit, axes), check_force_gain(fit)]
-    if axes.are_given:
-        found += [check_triads(fit), check_arm(fit, antenna_b), check_forward_axis(fit, stretches)]
-    return found
+    if h.down < 0:
+        text = "gnss: the vertical velocity is reversed: it is up where down is expected"
+        found.append(
+            Check("velocity_ratio_down", -1.0, text, False, {"gnss.velocity": np.diag([1.0, 1.0, -1.0])})
+        )
+    found += [
+        check_shift(fit, h.offset, motion.velocity_shift_sd),
+        check_rate_gain(fit, h.unit),
+        check_force_gain(fit),
+    ]
+    found.append(check_triads(fit))
+    unknown_arm = words and not forward
+    found.append(_unknown("arm_off_m", "where the antenna is") if unknown_arm else check_arm(fit, antenna_b))
+    found.append(check_forward_axis(fit, best.stretches))
+    return found, h
+
+
+def _name(motion: RecordedMotion, antenna_b: FloatArray, best: Explained) -> tuple[Explained, str, bool]:
+    """Return the fit in the axes of the vehicle, the line on wrong axes, and whether forward shows."""
+    h, fit = best.hypothesis, best.fit
+    up = motion.accel.mean(axis=0) @ h.accel.T
+    cluster = np.repeat(np.arange(len(best.stretches)), np.diff(best.stretches.begin))
+    vel = best.stretches.vel_n
+    size = np.linalg.norm(vel, axis=1)
+    use = (fit.heading_sd[cluster] < _ROUGH_SD) & (size > max(_MOVING, 0.3 * float(size.max())))
+    ahead = None
+    if len(np.unique(cluster[use])) > 1:
+        mean = np.einsum("kji,kj->i", fit.C_nb[use], vel[use] / size[use, None]) / use.sum()
+        ahead = mean if np.linalg.norm(mean) > _FORWARD else None
+    named = name_axes(h.gyro, h.accel, up, ahead)
+    if named.text and not np.array_equal(named.gyro, h.gyro):
+        again = explain(motion, antenna_b, replace(h, gyro=named.gyro, accel=named.accel))
+        assert again is not None
+        best = again
+    return best, named.text, ahead is not None
 
 
 def _take(fit: MotionFit, name: str) -> tuple[float, float]:
@@ -81,22 +124,32 @@ def _unknown(name: str, what: str) -> Check:
     return Check(name, None, f"imu: the motion does not show {what}", True)
 
 
-def check_shift(fit: MotionFit) -> Check:
-    """Check the time shift between IMU and fixes against the motion of the fixes."""
+def check_shift(fit: MotionFit, offset: float = 0.0, late_sd: float = 0.0) -> Check:
+    """Check the time shift between IMU and fixes against the motion of the fixes, beyond an ``offset`` [s].
+
+    ``late_sd`` is the standard deviation [s] to which velocities are known to be as late as the positions.
+    """
     shift, sd = _take(fit, "shift")
+    shift += offset
     off = _is_off(shift, sd, SHIFT_OFF)
     if not off and sd > SHIFT_OFF:
         return _unknown("imu_shift_s", f"the shift between the clocks of IMU and receiver (sd {sd:.2g} s)")
     text = f"imu: its clock fits the receiver's with {shift:+.3f} s added (sd {sd:.3f} s)"
+    advice = {}
     if off:
+        advice = {"imu.time_offset_s": shift}
+        if _LEAP[0] <= round(abs(shift)) <= _LEAP[1] and abs(abs(shift) - round(abs(shift))) < _LEAP_OFF:
+            text += f": one clock is UTC, the other GPS time ({round(abs(shift))} leap seconds)"
         text += f": add {shift:+.3f} to [imu] time_offset_s"
-    return Check("imu_shift_s", shift, text, not off)
+        if late_sd > abs(shift) / SIGMAS:
+            text += f", or its velocity alone is late: {-shift:+.3f} to [gnss] velocity_offset_s"
+    return Check("imu_shift_s", shift, text, not off, advice)
 
 
-def check_rate_gain(fit: MotionFit, axes: Axes) -> Check:
-    """Check the gain of the gyros against the motion of the fixes."""
+def check_rate_gain(fit: MotionFit, unit: float = 1.0) -> Check:
+    """Check the gain of the gyros, multiplied by ``unit`` before, against the motion of the fixes."""
     gain, sd = _take(fit, "gyro_gain")
-    gain = float(np.exp(gain)) / axes.gyro_factor
+    gain = float(np.exp(gain)) / unit
     off = _is_off(gain - 1.0, sd, RATE_OFF)
     if not off and sd > RATE_OFF:
         return _unknown("turn_gain", f"the unit of the angular rates (sd {sd:.2g})")
@@ -105,7 +158,7 @@ def check_rate_gain(fit: MotionFit, axes: Axes) -> Check:
         guess = {57.3: "deg/s in a column of rad/s", 1 / 57.3: "rad/s in a column of deg/s"}
         near = [words for value, words in guess.items() if abs(gain / value - 1.0) < 0.2]
         text += f": are these {near[0]}?" if near else ": the unit or the scale looks wrong"
-    return Check("turn_gain", gain, text, not off)
+    return Check("turn_gain", gain, text, not off, {"imu.gyro_gain": gain} if off else {})
 
 
 def check_force_gain(fit: MotionFit) -> Check:
@@ -118,7 +171,7 @@ def check_force_gain(fit: MotionFit) -> Check:
     text = f"imu: specific force is {gain:.3f} times the motion"
     if off:
         text += guess_force_unit(gain)
-    return Check("force_gain", gain, text, not off)
+    return Check("force_gain", gain, text, not off, {"imu.accel_gain": gain} if off else {})
 
 
 def guess_force_unit(ratio: float) -> str:
@@ -160,7 +213,10 @@ def check_arm(fit: MotionFit, antenna_b: FloatArray) -> Check:
         given = ", ".join(f"{at:.2f}" for at in antenna_b)
         text += f", not at {given} m: is position_m right?"
     off = float(np.linalg.norm([value for (value, _), told in zip(each, known, strict=True) if told]))
-    return Check("arm_off_m", off, text, not any(bad))
+    change = [
+        value if told or wrong else 0.0 for (value, _), told, wrong in zip(each, known, bad, strict=True)
+    ]
+    return Check("arm_off_m", off, text, not any(bad), {"gnss.position_m": change} if any(bad) else {})
 
 
 def check_forward_axis(fit: MotionFit, stretches: Stretches) -> Check:
@@ -179,7 +235,8 @@ def check_forward_axis(fit: MotionFit, stretches: Stretches) -> Check:
     ahead = np.arctan2(nose[:, 1], nose[:, 0])
     off = np.arctan2(vel[:, 1], vel[:, 0]) - ahead
     values = np.array([np.arctan2(np.sin(off).mean(), np.cos(off).mean()), 0.0, 0.0])
-    prior = np.diag([0.0, _WIND_SD**-2, _WIND_SD**-2])
+    wind_sd = min(_WIND_SD, _WIND_SHARE * float(np.median(np.hypot(*vel.T))))
+    prior = np.diag([0.0, wind_sd**-2, wind_sd**-2])
     for _ in range(6):
         h = np.column_stack([np.cos(ahead + values[0]), np.sin(ahead + values[0])])
         p = np.column_stack([-h[:, 1], h[:, 0]])
@@ -192,10 +249,13 @@ def check_forward_axis(fit: MotionFit, stretches: Stretches) -> Check:
     factor = len(scores) / (len(scores) - 1)
     sd = float(np.sqrt((inverse @ (factor * scores.T @ scores + prior) @ inverse)[0, 0]))
     angle = float(np.arctan2(np.sin(values[0]), np.cos(values[0])))
+    air = vel - values[1:]
+    sideways = np.sin(np.arctan2(air[:, 1], air[:, 0]) - ahead - values[0])
     bad = _is_off(angle, sd, YAW_OFF)
-    if not bad and sd > YAW_OFF:
+    if (not bad and sd > YAW_OFF) or np.sqrt(np.mean(sideways**2)) > _SIDEWAYS:
         return unknown
     text = f"imu: it moves {np.rad2deg(angle):+.1f} deg right of its forward axis"
     if bad:
         text += ": mounting_deg does not make x point forward"
-    return Check("forward_yaw_deg", float(np.rad2deg(angle)), text, not bad)
+    advice = {"imu.yaw_deg": float(np.rad2deg(angle))} if bad else {}
+    return Check("forward_yaw_deg", float(np.rad2deg(angle)), text, not bad, advice)

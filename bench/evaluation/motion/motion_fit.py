@@ -15,6 +15,7 @@ derivatives of u integrated along with it.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -44,6 +45,8 @@ MOST_SEGMENTS = 150  # segments; those in which the velocity changes most are us
 _GAP = 0.5  # of the IMU inside a segment [s]
 _HALF = 0.05  # step of the derivative by time [s]
 _MARGIN = 1.0  # to the ends of the IMU record [s]: clocks may differ
+_SHORTER = 0.3  # factor of a step after which the fit is worse
+_ENOUGH = 0.01  # decrease of the cost after which an iteration is the last
 _NOISE = 0.05  # of the velocities of a receiver [m/s]: segments that fit better than this count alike
 
 
@@ -223,7 +226,7 @@ def fit_motion(
     gyro: FloatArray,
     accel: FloatArray,
     arm_b: FloatArray,
-    iterations: int = 6,
+    iterations: int = 10,
 ) -> MotionFit:
     """Fit all parameters.
 
@@ -236,48 +239,97 @@ def fit_motion(
     arm_b : (3,) array
         Antenna relative to the IMU as assumed [m], b.
     iterations : int
-        Gauss-Newton steps.
+        Most Gauss-Newton steps; those after which the fit is worse are shortened.
     """
-    values = np.zeros(len(NAMES))
-    values[_ACCEL_GAIN] = guess_gain(accel)
-    weights = np.ones(len(stretches))
-    for step in range(iterations + 1):
-        u, U, C_sb, rate, u_dot = integrate(stretches, t, gyro, accel, values)
-        swing = np.einsum("kij,kj->ki", C_sb, np.cross(rate, arm_b + values[_ARM]))
-        normal, pull = np.diag(PRIOR_SD**-2), -values / PRIOR_SD**2
-        scores, rms, C_nb, heading_sd = [], [], np.empty((len(u), 3, 3)), []
-        for weight, rows in zip(weights, stretches.slices, strict=True):
-            x, y = u[rows] + swing[rows], stretches.gained[rows]
-            a, b = x - x.mean(axis=0), y - y.mean(axis=0)
-            C_is = _fit_attitude(a, b)
-            turned = a @ C_is.T
-            residual = (b - turned).ravel()
-            J = np.empty((len(x), 3, len(NAMES)))
-            J[..., :_KERNEL] = C_is @ U[rows]
-            J[..., :8] *= -1.0
-            J[..., _SHIFT] = -u_dot[rows] @ C_is.T
-            J[..., _ARM] = C_is @ C_sb[rows] @ _cross_matrices(rate[rows])
-            J = (J - J.mean(axis=0)).reshape(-1, len(NAMES))
-            Q = np.linalg.qr(_cross_matrices(-turned).reshape(-1, 3))[0]  # what another C_is would change
-            J, residual = J - Q @ (Q.T @ J), residual - Q @ (Q.T @ residual)
-            rms.append(np.sqrt(residual @ residual / (len(residual) - 6)))
-            normal += weight * J.T @ J
-            pull += weight * J.T @ residual
-            scores.append(weight * (J.T @ residual))
-            C_nb[rows] = np.swapaxes(stretches.C_in[rows], 1, 2) @ C_is @ C_sb[rows]
-            level = stretches.C_in[rows][0][:, 2]
-            heading_sd.append(np.hypot(rms[-1], _NOISE) / max(np.linalg.norm(np.cross(level, turned)), 1e-9))
-        inverse = np.linalg.inv(normal)
-        if step == iterations:
-            break
-        values = values + np.clip(inverse @ pull, -_LONGEST * PRIOR_SD, _LONGEST * PRIOR_SD)
+    start = np.zeros(len(NAMES))
+    start[_ACCEL_GAIN] = guess_gain(accel)
+    prior = np.diag(PRIOR_SD**-2)
+
+    def try_values(values: FloatArray) -> _Trial:
+        return _compare(stretches, integrate(stretches, t, gyro, accel, values), arm_b, values)
+
+    best = try_values(start)
+    step = np.zeros(len(NAMES))
+    for _ in range(iterations):
+        weights = 1.0 / (np.square(best.rms) + _NOISE**2)
+        pull = np.einsum("w,wi->i", weights, best.scores) - best.values / PRIOR_SD**2
+        normal = prior + np.einsum("w,wij->ij", weights, best.normals)
+        full = np.clip(np.linalg.inv(normal) @ pull, -_LONGEST * PRIOR_SD, _LONGEST * PRIOR_SD)
+        step = full if not step.any() else step
+        values = best.values + step
         values[_SHIFT] = np.clip(values[_SHIFT], _HALF - _MARGIN, _MARGIN - _HALF)  # within the record
-        weights = 1.0 / (np.square(rms) + _NOISE**2)
-    spread = np.array(scores)
+        trial = try_values(values)
+        done = 0.0 <= best.cost - trial.cost < _ENOUGH
+        if trial.cost < best.cost:
+            best, step = trial, np.zeros(len(NAMES))
+        else:
+            step = _SHORTER * step
+        if done:
+            break
+    weights = 1.0 / (np.square(best.rms) + _NOISE**2)
+    inverse = np.linalg.inv(prior + np.einsum("w,wij->ij", weights, best.normals))
+    spread = weights[:, None] * best.scores
     factor = len(spread) / max(len(spread) - 1, 1)
-    cov = inverse @ (factor * spread.T @ spread + np.diag(PRIOR_SD**-2)) @ inverse
+    cov = inverse @ (factor * spread.T @ spread + prior) @ inverse
     cov[np.diag_indices(len(cov))] = np.maximum(np.diag(cov), np.diag(inverse))
-    return MotionFit(values, cov, np.array(rms), C_nb, np.array(heading_sd))
+    return MotionFit(best.values, cov, best.rms, best.C_nb, best.heading_sd)
+
+
+class _Trial(NamedTuple):
+    """Values, and how well each segment fits with them."""
+
+    values: FloatArray  # (15,)
+    normals: FloatArray  # (W, 15, 15)
+    scores: FloatArray  # (W, 15)
+    rms: FloatArray  # (W,) [m/s]
+    C_nb: FloatArray  # (K, 3, 3)
+    heading_sd: FloatArray  # (W,) [rad]
+    cost: float  # negative logarithm of the likelihood
+
+
+def _compare(
+    stretches: Stretches,
+    motion: tuple[FloatArray, ...],
+    arm_b: FloatArray,
+    values: FloatArray,
+) -> _Trial:
+    """Return the residuals of all segments with the motion that `integrate` makes, and their derivatives."""
+    u, U, C_sb, rate, u_dot = motion
+    swing = np.einsum("kij,kj->ki", C_sb, np.cross(rate, arm_b + values[_ARM]))
+    normals, scores, rms, C_nb, heading_sd = [], [], [], np.empty((len(u), 3, 3)), []
+    for rows in stretches.slices:
+        x, y = u[rows] + swing[rows], stretches.gained[rows]
+        a, b = x - x.mean(axis=0), y - y.mean(axis=0)
+        C_is = _fit_attitude(a, b)
+        turned = a @ C_is.T
+        residual = (b - turned).ravel()
+        J = np.empty((len(x), 3, len(NAMES)))
+        J[..., :_KERNEL] = C_is @ U[rows]
+        J[..., :8] *= -1.0
+        J[..., _SHIFT] = -u_dot[rows] @ C_is.T
+        J[..., _ARM] = C_is @ C_sb[rows] @ _cross_matrices(rate[rows])
+        J = (J - J.mean(axis=0)).reshape(-1, len(NAMES))
+        Q = np.linalg.qr(_cross_matrices(-turned).reshape(-1, 3))[0]  # what another C_is would change
+        J, residual = J - Q @ (Q.T @ J), residual - Q @ (Q.T @ residual)
+        rms.append(np.sqrt(residual @ residual / (len(residual) - 6)))
+        normals.append(J.T @ J)
+        scores.append(J.T @ residual)
+        C_nb[rows] = np.swapaxes(stretches.C_in[rows], 1, 2) @ C_is @ C_sb[rows]
+        level = stretches.C_in[rows][0][:, 2]
+        heading_sd.append(np.hypot(rms[-1], _NOISE) / max(np.linalg.norm(np.cross(level, turned)), 1e-9))
+    free = 3 * np.diff(stretches.begin) - 6
+    cost = 0.5 * float(free @ np.log(np.square(rms) + _NOISE**2)) + 0.5 * float(
+        np.sum((values / PRIOR_SD) ** 2)
+    )
+    return _Trial(
+        values,
+        np.reshape(normals, (-1, len(NAMES), len(NAMES))),
+        np.reshape(scores, (-1, len(NAMES))),
+        np.array(rms),
+        C_nb,
+        np.array(heading_sd),
+        cost,
+    )
 
 
 def _fit_attitude(a: FloatArray, b: FloatArray) -> FloatArray:

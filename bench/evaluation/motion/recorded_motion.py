@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -30,6 +32,7 @@ class Check:
     value: float | None  # None if it could not be measured
     text: str
     good: bool
+    advice: Mapping[str, Any] = field(default_factory=dict)  # key of the log: what to add or to multiply by
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +46,8 @@ class RecordedMotion:
     lla: FloatArray  # (M, 3)
     vel_n: FloatArray  # (M, 3) [m/s]; NaN without
     most_rate: float  # largest angular rate of any sample [rad/s]
+    velocity_shift: float = 0.0  # to add to the times of the velocities [s]
+    velocity_shift_sd: float = 0.0  # of it; 0 without velocities [s]
 
     @classmethod
     def from_records(cls, imu: ImuData, fixes: GnssFixes) -> RecordedMotion:
@@ -106,7 +111,7 @@ class RecordedMotion:
         """
         good = np.asarray(np.isfinite(self.vel_n).all(axis=1))
         if 2 * good.sum() >= len(good):
-            return self.fix_t[good], self.lla[good], self.vel_n[good]
+            return self.fix_t[good] + self.velocity_shift, self.lla[good], self.vel_n[good]
         usual = float(np.median(np.diff(self.fix_t)))
         near = np.flatnonzero(np.diff(self.fix_t) < 2.5 * usual)
         step = np.diff(to_ecef(self.lla), axis=0)[near] / np.diff(self.fix_t)[near, None]

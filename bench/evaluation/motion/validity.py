@@ -8,37 +8,33 @@ in the air (`bench.evaluation.motion.motion_checks`).
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from bench.core.mathematics.arrays import BoolArray, FloatArray
-from bench.core.mathematics.earth import gravity_n, matrix_en, to_ecef
+from bench.core.mathematics.earth import gravity_n
 from bench.core.records.data import GnssFixes, ImuData
 from bench.core.records.instruments import INSTRUMENTS
 from bench.core.words.wording import format_number
+from bench.evaluation.motion.axis_search import AS_GIVEN
 from bench.evaluation.motion.motion_checks import (
     GRAVITY_OFF,
-    SHIFT_OFF,
     SIGMAS,
     check_motion,
     guess_force_unit,
 )
 from bench.evaluation.motion.recorded_motion import Check, RecordedMotion
+from bench.evaluation.motion.velocity_checks import GAIN_OFF, check_velocity
 
 TILT_OFF = np.deg2rad(20.0)
 """Allowed angle from the up axis to the specific force at rest [rad]: steeper than any parking place."""
 RATE_LIMIT = np.deg2rad(4000.0)
 """Angular rate beyond the range of usual gyros [rad/s]."""
-GAIN_OFF = 0.2  # allowed relative difference of heights and velocities by two instruments
-_SPEEDS = {3.6: "km/h", 1.944: "knots", 3.281: "ft/s"}
-_MOVED, _SLOWEST = 8.0, 0.5  # a velocity is compared if its rms exceeds its noise this much, and [m/s]
 _LEAST_CLIMB = 20.0  # standard deviation of the heights from which a barometer is compared [m]
 _WANDER = 60.0  # errors of heights further apart than this count as independent [s]
-_SEARCH = 1.0  # largest time shift that is tried, either way [s]
-_STEP = 0.01  # step of the search [s]
 _GAP = 3.0  # a longer interval is a gap, in usual intervals
-_LAGS = 4  # fixes over which the residuals of central differences are correlated
 _FEWEST = 20  # smallest number of fixes for a correlation
 
 
@@ -63,13 +59,25 @@ def check_recording(
         checks += check_times(name, record.t, record.valid)
     with np.errstate(all="ignore"):  # figures may overflow; what is not finite is reported as it is
         motion = RecordedMotion.from_records(imu, fixes)
-        velocity = check_velocity(motion)
-        checks += [check_rates(motion), *check_rest(motion), *velocity]
-        if not any(check.name.startswith("velocity_ratio") for check in velocity):
-            checks += check_motion(motion, np.asarray(antenna_b))
+        velocity, motion = check_velocity(motion)
+        fitted, axes = list[Check](), AS_GIVEN
+        if not any(one.name.startswith("velocity_ratio") for one in velocity):
+            fitted, axes = check_motion(motion, np.asarray(antenna_b))
+        rest = check_rest(replace(motion, accel=motion.accel @ axes.accel.T))
+        checks += keep_causes([check_rates(motion), *rest, *velocity, *fitted])
         if "baro" in instruments:
             checks += check_heights("baro", motion, instruments["baro"])
         return checks
+
+
+_SAME_CAUSE = {"turn_gain": "gyro_max_deg_s", "gravity_ratio": "force_gain"}
+
+
+def keep_causes(checks: list[Check]) -> list[Check]:
+    """Return the checks without a second line on a unit that another line names."""
+    wrong = {one.name for one in checks if not one.good}
+    twice = {other for name, other in _SAME_CAUSE.items() if {name, other} <= wrong}
+    return [one for one in checks if one.name not in twice]
 
 
 def check_times(name: str, t: FloatArray, valid: BoolArray) -> list[Check]:
@@ -125,9 +133,10 @@ def check_rest(motion: RecordedMotion) -> list[Check]:
     tilt = float(np.arccos(np.clip(-force[2] / size, -1.0, 1.0))) if size > 0 else np.nan
     seconds = sum(b - a for a, b in spans)
     text = f"imu: specific force at rest ({seconds:.0f} s) is {size:.4g} m/s^2, {ratio:.4f} of gravity"
-    if abs(ratio - 1.0) > GRAVITY_OFF:
+    bad = abs(ratio - 1.0) > GRAVITY_OFF
+    if bad:
         text += guess_force_unit(ratio)
-    found = [Check("gravity_ratio", ratio, text, abs(ratio - 1.0) <= GRAVITY_OFF)]
+    found = [Check("gravity_ratio", ratio, text, not bad, {"imu.accel_gain": ratio} if bad else {})]
     words = f"imu: at rest the up axis is {np.rad2deg(tilt):.1f} deg off the specific force"
     if tilt > TILT_OFF:
         words += ": mounting_deg does not make z point down"
@@ -135,57 +144,6 @@ def check_rest(motion: RecordedMotion) -> list[Check]:
     bias = np.rad2deg(motion.gyro[rows].mean(axis=0))
     text = f"imu: angular rate at rest {', '.join(f'{b:.3f}' for b in bias)} deg/s"
     return [*found, Check("rest_rate_deg_s", float(np.linalg.norm(bias)), text, True)]
-
-
-def check_velocity(motion: RecordedMotion) -> list[Check]:
-    """Compare the velocity of the receiver with its positions: late, in another unit, or with other axes."""
-    good = np.asarray(np.isfinite(motion.vel_n).all(axis=1))
-    if 2 * good.sum() < len(good) or good.sum() < _FEWEST + 2:
-        text = "gnss: no velocity; its positions alone are compared with the IMU"
-        return [Check("velocity_shift_s", None, text, True)]
-    t, lla, vel_n = motion.fix_t[good], motion.lla[good], motion.vel_n[good]
-    C_en = matrix_en(lla[:, 0], lla[:, 1])
-    path, velocity = to_ecef(lla), np.einsum("kij,kj->ki", C_en, vel_n)
-    between = 0.5 * (velocity[1:] + velocity[:-1]) * np.diff(t)[:, None]
-    traveled = np.concatenate([np.zeros((1, 3)), np.cumsum(between, axis=0)])
-    middle = np.flatnonzero(t[2:] - t[:-2] < 2.5 * float(np.median(np.diff(t))))
-    if len(middle) < _FEWEST:
-        text = "gnss: too few velocities in a row to compare them with its positions"
-        return [Check("velocity_shift_s", None, text, True)]
-    early, late = t[middle], t[middle + 2]
-    span = (late - early)[:, None]
-    seen, own = (path[middle + 2] - path[middle]) / span, (traveled[middle + 2] - traveled[middle]) / span
-    shift, sd = fit_shift(t, traveled, early, late, seen)
-    text = f"gnss: its velocity fits its positions with {shift:+.3f} s added to its time (sd {sd:.3f} s)"
-    if not np.isfinite(shift) or sd > SHIFT_OFF:
-        text = "gnss: the motion does not show whether its velocities are on time"
-        found = [Check("velocity_shift_s", None, text, True)]
-    else:
-        bad = abs(shift) > max(SHIFT_OFF, SIGMAS * sd)
-        text += f": add {shift:+.3f} to [gnss] velocity_offset_s" if bad else ""
-        found = [Check("velocity_shift_s", shift, text, not bad)]
-    turned = np.swapaxes(C_en[middle + 1], 1, 2)
-    by_position, by_velocity = (np.einsum("kij,kj->ki", turned, x) for x in (seen, own))
-    for axis, reference, value in zip(("north", "east", "down"), by_position.T, by_velocity.T, strict=True):
-        ratio, sd = fit_ratio(value, reference)
-        jitter = float(np.std(np.diff(value, 2))) / np.sqrt(6.0)  # its noise, if it is white
-        still = float(np.sqrt(np.mean(value**2))) < max(_MOVED * jitter, _SLOWEST)
-        if still or abs(ratio - 1.0) <= max(GAIN_OFF, SIGMAS * sd):
-            continue
-        off, unit = min((abs(ratio * factor - 1.0), unit) for factor, unit in _SPEEDS.items())
-        guess = f"are these {unit}?" if off < 0.1 else "the unit, a sign or the order of the axes looks wrong"
-        text = f"gnss: {axis}, its positions move {ratio:.3f} of its velocity: {guess}"
-        found.append(Check(f"velocity_ratio_{axis}", ratio, text, False))
-    return found
-
-
-def fit_ratio(x: FloatArray, y: FloatArray) -> tuple[float, float]:
-    """Return the ratio of y to x (N,) and its standard deviation, with residuals that are correlated."""
-    power = float(x @ x)
-    if power == 0.0:
-        return 1.0, np.inf
-    ratio = float(x @ y) / power
-    return ratio, float(np.sqrt(variance_of_sum(x * (y - ratio * x)))) / power
 
 
 def check_heights(name: str, motion: RecordedMotion, record: Any) -> list[Check]:
@@ -211,48 +169,3 @@ def check_heights(name: str, motion: RecordedMotion, record: Any) -> list[Check]
             ": are these feet?" if abs(ratio / 3.281 - 1.0) < 0.1 else ": the unit or the sign looks wrong"
         )
     return [Check(f"{name}_ratio", ratio, text, not bad)]
-
-
-def mean_rate(t: FloatArray, integral: FloatArray, early: FloatArray, late: FloatArray) -> FloatArray:
-    """Return the mean rates (M, k) between epochs (M,) of integrals (N, k), less their average."""
-    columns = [(np.interp(late, t, one) - np.interp(early, t, one)) / (late - early) for one in integral.T]
-    rates = np.stack(columns, axis=-1)
-    return np.asarray(rates - rates.mean(axis=0))
-
-
-def fit_shift(
-    t: FloatArray, integral: FloatArray, early: FloatArray, late: FloatArray, seen: FloatArray
-) -> tuple[float, float]:
-    """Return the time to add to t that fits the reference rates [s], and its standard deviation.
-
-    The shift maximizes the correlation between the mean rates of the integral from ``early`` to ``late`` and
-    the reference ``seen``. Its standard deviation is that of a linear least squares fit with correlated
-    residuals: neighboring central differences share half their time.
-    """
-    shifts = np.arange(-_SEARCH, _SEARCH + 0.5 * _STEP, _STEP)
-    inside = (early > t[0] + _SEARCH) & (late < t[-1] - _SEARCH)
-    early, late, seen = early[inside], late[inside], seen[inside]
-    if len(seen) < _FEWEST:
-        return np.nan, np.nan
-    seen = seen - seen.mean(axis=0)
-
-    def rate(shift: float) -> FloatArray:
-        return mean_rate(t, integral, early - shift, late - shift)
-
-    scores = np.abs([np.vdot(own, seen) / np.linalg.norm(own) for own in map(rate, shifts)])
-    k = int(np.clip(np.argmax(scores), 1, len(shifts) - 2))
-    a, b, c = scores[k - 1 : k + 2]
-    bend = a - 2 * b + c
-    best = float(shifts[k] + (0.5 * _STEP * (a - c) / bend if bend < 0 else 0.0))
-    own = rate(best)
-    gain = float(np.vdot(own, seen) / np.vdot(seen, seen))
-    slope = (rate(best - _STEP) - rate(best + _STEP)) / (2 * _STEP)
-    pulls = np.sum(slope * (own - gain * seen), axis=1)
-    return best, float(np.sqrt(variance_of_sum(pulls)) / np.vdot(slope, slope))
-
-
-def variance_of_sum(values: FloatArray) -> float:
-    """Return the variance (above 0) of the sum of values that are correlated over a few rows."""
-    products = [np.dot(values[lag:], values[:-lag]) for lag in range(1, min(_LAGS, len(values) - 1) + 1)]
-    alone = float(np.dot(values, values))
-    return max(alone + 2.0 * float(np.sum(products)), 0.01 * alone)
