@@ -18,7 +18,14 @@ from bench.core.words.wording import as_toml
 from bench.io.config import checks
 from bench.io.config.datasheets import SENSORS
 from bench.io.config.library import find_datasheet
-from bench.io.config.log_tables import FileTable, GnssTable, LogAlignmentTable, LogTable
+from bench.io.config.log_tables import (
+    FileTable,
+    GnssTable,
+    LogAlignmentTable,
+    LogTable,
+    check_frames,
+    describe_frame,
+)
 from bench.io.config.overrides import (
     DatasheetChanges,
     describe_choice,
@@ -49,6 +56,8 @@ class SourceSpec:
     topic: str | None = None
     columns: Mapping[str, str] = field(default_factory=dict)  # name with unit -> name in the file
     time_offset: float = 0.0  # added to its times [s]
+    axes: tuple[int, int, int] = (1, 2, 3)  # of the file along x, y, z; negative: reversed
+    gravity: bool = False  # its accelerometers have the sign of gravity
     observations: tuple[Path, ...] = ()  # of a receiver whose fixes are solved; ``path`` is the first
     navigation: tuple[Path, ...] = ()
 
@@ -169,8 +178,10 @@ def load_log(
     elif table.reference and withhold:
         wrong.append(f"{place}[evaluation] withhold is for a log without [reference]")
     tables = {"imu": table.imu, "gnss": table.gnss, **{kind: getattr(table, kind) for kind in INSTRUMENTS}}
-    sources = {kind: _find_source(row, kind, beside, place, wrong) for kind, row in tables.items()}
-    reference = _find_source(table.reference, "reference", beside, place, wrong)
+    sources = {
+        kind: _find_source(row, kind, beside, place, wrong, table.date) for kind, row in tables.items()
+    }
+    reference = _find_source(table.reference, "reference", beside, place, wrong, table.date)
     assumed = _read_assumed(table, tables, changes, beside, place, wrong)
     wrong += [f"{place}{line}" for line in changes.check({}, dict(table.sensors.assumed))]
     choices = make_choices(table.estimator, overrides, beside)
@@ -179,6 +190,7 @@ def load_log(
         + checks.check_requested(choices, estimators or (), of_log=True)
         + checks.check_requirements(table.requirement, choices)
         + _check_start(table)
+        + check_frames(table)
     )
     wrong += [f"{place}{line}" for line in across]
     if wrong:
@@ -296,7 +308,12 @@ def _spread_file(document: Mapping[str, Any], shown: str) -> dict[str, Any]:
 
 
 def _find_source(
-    row: FileTable | None, kind: str, beside: Path, place: str, wrong: list[str]
+    row: FileTable | None,
+    kind: str,
+    beside: Path,
+    place: str,
+    wrong: list[str],
+    day: datetime.date | None,
 ) -> SourceSpec | None:
     if row is None:
         return None
@@ -323,7 +340,7 @@ def _find_source(
         listed = f"{', '.join(name for name, one in FORMATS.items() if one.topics)} and tables in {MATLAB}"
         wrong.append(f"{place}[{kind}] topic is for {listed}; format {form!r} has none")
     else:
-        return SourceSpec(path, form, row.topic, dict(row.columns), float(row.time_offset_s))
+        return SourceSpec(path, form, row.topic, dict(row.columns), **describe_frame(row, day))
     return None
 
 
@@ -332,7 +349,7 @@ def _find_ranges(row: GnssTable, beside: Path, place: str, wrong: list[str]) -> 
     if row.file or not (row.observations and row.navigation):
         wrong.append(f"{place}[gnss] give either file, or both observations and navigation")
         return None
-    keys = ("format", "topic", "columns", "velocity_offset_s", "quality", "quality_sd_m")
+    keys = ("format", "topic", "columns", "velocity_offset_s", "quality", "quality_sd_m", "clock")
     found = [
         f"{key} is for fixes in a file, not for observations" for key in keys if key in row.model_fields_set
     ]

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import datetime
+import math
+import re
 from collections import Counter
 from collections.abc import Iterator
 from typing import Annotated, Any, Literal
@@ -14,6 +16,7 @@ from bench.core.records.instruments import INSTRUMENTS
 from bench.io.config.profile_tables import EstimatorTable, EvaluationTable, RequirementTable
 from bench.io.config.tables import NOT_NEGATIVE, ROWS, Table, between
 from bench.io.log_formats import FORMATS, list_names
+from bench.simulation.signals.gps_time import leap_seconds
 
 _Angle = Annotated[float, between(-360, 360)]
 _Angles3 = Annotated[tuple[_Angle, _Angle, _Angle], ROWS]
@@ -40,6 +43,53 @@ def _check_format(name: str) -> str:
     return name
 
 
+_NAMES = "xyz"
+_AXES_EXAMPLE = "three axes of the file with signs, each axis once, such as 'y, -x, z'"
+
+
+def read_axes(text: str) -> tuple[int, int, int]:
+    """Return the axes of the file along forward, right, down: 1, 2, 3 for x, y, z, negative if reversed.
+
+    Raises
+    ------
+    ValueError
+        If the text does not name each axis once.
+    """
+    found = [re.fullmatch(r"([+-]?) *([xyz])", part.strip()) for part in text.lower().split(",")]
+    signed = [(-1 if one[1] == "-" else 1) * (_NAMES.index(one[2]) + 1) for one in found if one]
+    if len(found) != 3 or sorted(map(abs, signed)) != [1, 2, 3]:
+        raise ValueError(_AXES_EXAMPLE)
+    return signed[0], signed[1], signed[2]
+
+
+def is_right_handed(axes: tuple[int, int, int]) -> bool:
+    """Return whether axes are a rotation of those in the file, without a reflection."""
+    a, b, c = (abs(one) for one in axes)
+    even = (a, b, c) in ((1, 2, 3), (2, 3, 1), (3, 1, 2))
+    return even == (math.prod(axes) > 0)
+
+
+def _check_axes(text: str) -> str:
+    try:
+        read_axes(text)
+    except ValueError as error:
+        raise PydanticCustomError("message", "must be {words}", {"words": str(error)}) from None
+    return text
+
+
+_Axes = Annotated[str, AfterValidator(_check_axes)]
+
+
+class AxesTable(Table):
+    """Axes by name, for a sensor with three of them."""
+
+    axes: _Axes = "x, y, z"
+    """Axes of the file along x, y, z, before ``mounting_deg``: with "y, -x, z", x is y of the file.
+    A left-handed choice needs ``left_handed``."""
+    left_handed: bool = False
+    """Whether the file has left-handed axes: ``axes`` reflects them, for gyros and accelerometers alike."""
+
+
 _FORMAT_SCHEMA = {"anyOf": [{"enum": [*FORMATS]}, {"type": "string"}]}  # an editor completes those of bench
 _Format = Annotated[str, AfterValidator(_check_format), WithJsonSchema(_FORMAT_SCHEMA)]
 
@@ -57,11 +107,16 @@ class FileTable(Table):
     """Columns: the name with quantity and unit, and the name in the file."""
     time_offset_s: _Clock = 0.0
     """Added to its times."""
+    clock: Literal["gps", "utc"] = "gps"
+    """Time system of its times. "utc": the leap seconds of the ``date`` are added, so that all files have GPS
+    time."""
 
 
-class ImuTable(FileTable):
+class ImuTable(FileTable, AxesTable):
     """The IMU: roll, pitch, yaw of its axes relative to forward, right, down, then the misalignment."""
 
+    sign: Literal["specific-force", "gravity"] = "specific-force"
+    """Sign of the accelerometers: at rest, "specific-force" points up and "gravity" down, as on iOS."""
     mounting_deg: _Angles3 = (0.0, 0.0, 0.0)
     """Roll, pitch, yaw of its axes relative to forward, right, down."""
     misalignment_deg: _Angles3 = (0.0, 0.0, 0.0)
@@ -101,8 +156,8 @@ class BaroTable(FileTable):
     """The barometer."""
 
 
-class MagTable(FileTable):
-    """The magnetometer, in the axes of the vehicle."""
+class MagTable(FileTable, AxesTable):
+    """The magnetometer, in the axes of the vehicle, as ``axes`` gives them."""
 
 
 class RadarTable(FileTable):
@@ -216,3 +271,36 @@ class LogTable(_LogFiles):  # type: ignore[misc]
     estimator: Annotated[tuple[EstimatorTable, ...], ROWS] = (EstimatorTable(use="loose-15"),)
     evaluation: LogEvaluationTable = Field(default_factory=LogEvaluationTable)
     requirement: Annotated[tuple[RequirementTable, ...], ROWS] = ()
+
+
+def list_files(table: Any) -> dict[str, Any]:
+    """Return the tables of a log with a file, by kind; None where it has none."""
+    kinds = ("imu", "gnss", *INSTRUMENTS, "reference")
+    return {kind: getattr(table, kind) for kind in kinds}
+
+
+def check_frames(table: Any) -> list[str]:
+    """Return a line for each table with left-handed axes or times in UTC without a date."""
+    wrong = []
+    for kind, row in list_files(table).items():
+        if isinstance(row, AxesTable) and is_right_handed(read_axes(row.axes)) == row.left_handed:
+            hand = "right-handed" if row.left_handed else "left-handed"
+            advice = "reverse or exchange an axis, or set left_handed = "
+            advice += (
+                "false" if row.left_handed else "true if the axes of the file are left-handed themselves"
+            )
+            wrong.append(f"[{kind}] axes = {row.axes!r} are {hand}; {advice}")
+        if row is not None and row.clock == "utc" and table.date is None:
+            wrong.append(f"[{kind}] clock = 'utc' needs a date above all tables: date = 2024-05-31")
+    return wrong
+
+
+def describe_frame(row: FileTable, day: datetime.date | None) -> dict[str, Any]:
+    """Return the offset of the times of a table to GPS time [s], its axes, and the sign of its forces."""
+    leap = leap_seconds(day) if row.clock == "utc" and day is not None else 0
+    frame: dict[str, Any] = {"time_offset": float(row.time_offset_s) + leap}
+    if isinstance(row, AxesTable):
+        frame["axes"] = read_axes(row.axes)
+    if isinstance(row, ImuTable):
+        frame["gravity"] = row.sign == "gravity"
+    return frame

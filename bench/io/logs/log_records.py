@@ -31,6 +31,7 @@ from bench.io.logs.log_ranges import read_ranges
 from bench.io.logs.record_clock import check_order, meet_week, unwrap_week
 from bench.io.logs.row_selection import drop_others, drop_repeated, drop_unreported
 from bench.io.logs.rows import GNSS, IMU, INSTRUMENT_ROWS, MOST_ROWS, OPTIONAL, LogRows
+from bench.io.logs.sensor_axes import turn_axes
 from bench.io.logs.table_files import find_first, read_table
 from bench.navigation.engine.kept_rows import take_rows
 from bench.simulation.signals.air import SEA_LEVEL_PRESSURE, SEA_LEVEL_TEMPERATURE, airspeed_sd
@@ -154,7 +155,7 @@ def _read_rows(source: SourceSpec, kind: str) -> LogRows:
     values = dict(rows.values)
     if "arrival" in values:
         values["arrival"] = _add(values["arrival"], source.time_offset)
-    return replace(rows, t=_add(rows.t, source.time_offset), values=values)
+    return turn_axes(replace(rows, t=_add(rows.t, source.time_offset), values=values), source)
 
 
 def _add(t: FloatArray, offset: float) -> FloatArray:
