@@ -10,9 +10,9 @@ import pytest
 from pyarrow import parquet
 
 from bench.core.words.exceptions import ConfigError
+from bench.io.logs.finding.text_search import find_texts
 from bench.io.logs.sensor_search import (
     FoundSensor,
-    find_texts,
     guess_angle,
     guess_force,
     guess_length,

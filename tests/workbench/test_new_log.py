@@ -244,16 +244,20 @@ def test_structures_of_a_matlab_file_are_found(tmp_path, capsys):
     assert "rec.mat, structure rec.unit: " in capsys.readouterr().out
 
 
-def test_what_cannot_be_found_is_said_and_nothing_is_written(tmp_path, capsys):
+def test_what_cannot_be_found_is_said_and_nothing_is_written(tmp_path, capsys, monkeypatch):
     (tmp_path / "odd.csv").write_text("a,b\n1,2\n")
     assert main(["new", "log", str(tmp_path / "odd.csv")]) == 2
     assert "no columns found for imu" in capsys.readouterr().err
     drives.write_csv(tmp_path / "imu.csv", drives.imu_columns(drives.sensed()["imu"]))
     assert main(["new", "log", str(tmp_path / "imu.csv")]) == 2
     assert "for gnss, there or in a table beside it" in capsys.readouterr().err
-    for folder in (str(tmp_path), ".", ""):
+    assert main(["new", "log", str(tmp_path)]) == 2
+    assert "imu.csv: no columns found for gnss, there or in a table beside it" in capsys.readouterr().err
+    (tmp_path / "empty").mkdir()
+    monkeypatch.chdir(tmp_path / "empty")
+    for folder in (".", ""):
         assert main(["new", "log", folder]) == 2
-        assert "a folder; name the file in it with the IMU" in capsys.readouterr().err
+        assert "a folder without a table; name the file with the IMU" in capsys.readouterr().err
     assert not list(tmp_path.glob("*.toml"))
     (tmp_path / "imu.toml").write_text("mine")
     assert main(["new", "log", str(tmp_path / "imu.csv")]) == 2

@@ -5,56 +5,60 @@ from __future__ import annotations
 import datetime
 import itertools
 import json
-import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 from rich.console import Console
 
 from bench.cli.new_files.log_starts import ChosenStart, choose_start
+from bench.cli.new_files.log_text import DATASHEETS, read_antenna, write_log
 from bench.core.files import durable
-from bench.core.files.file_checks import check_file, read_json
 from bench.core.mathematics.units import split_unit
 from bench.core.records.data import ImuData
-from bench.core.records.instruments import INSTRUMENTS
 from bench.core.words.exceptions import ConfigError
 from bench.core.words.wording import one_line, quote_toml
 from bench.evaluation.motion.recorded_motion import Check, RecordedMotion
 from bench.evaluation.motion.rest_noise import assume_vibration
 from bench.evaluation.motion.validity import check_recording
 from bench.io.config.log import LogSpec, load_log
-from bench.io.exports.column_files import START
 from bench.io.log_formats import FORMATS, find_format, guess_format
 from bench.io.logs import formats, found_datasheets, own_estimate
 from bench.io.logs.exporter_names import FORWARD_LEFT_UP
+from bench.io.logs.finding.folder_search import find_sensors
+from bench.io.logs.finding.text_search import find_texts, has_names
 from bench.io.logs.log_contents import Contents
 from bench.io.logs.log_records import LogRecords, read_records
-from bench.io.logs.mat_file import list_structures, read_mat
-from bench.io.logs.sensor_search import TEXT, FoundSensor, find_tables, find_texts, has_names
+from bench.io.logs.sensor_search import TEXT, FoundSensor
 from bench.navigation.start.course import LEAST_SPEED
 from bench.simulation.signals.magnetic import FIRST_YEAR, LAST_YEAR
 
-_CONFIGURATIONS = "*.yaml"  # of KF-GINS
 _BAG = "metadata.yaml"  # in the folder of a ROS 2 bag
 _BAGS = (".bag", ".db3", ".mcap")  # hold several sensors and name their own columns
 RECORDINGS = (*_BAGS, *(ending for one in FORMATS.values() if one.knows for ending in one.endings))
 """Endings that only recordings have."""
-_DATASHEETS = {
-    "imu": "adis16475",
-    "gnss": "l1-code",
-    **{name: row.usual for name, row in INSTRUMENTS.items() if row.usual},
-}
 _FLIGHT_IMU = "mpu-9250"  # of the class that autopilots carry
 _SHAKES = 2.0  # noise of a recording over that of its datasheet that is worth believing [1]
-_REP_103 = (".bag", ".db3", ".mcap", "")  # whose axes are forward, left, up; a folder is a bag
-_MOST_CONFIGURATION = 1_000_000  # [byte]
 _CLOCKS = (("gnss", "velocity_offset_s", "velocity_shift_s"), ("imu", "time_offset_s", "imu_shift_s"))
 _SAME_UNIT = 0.25  # how far the scale of gyros in the right unit may be off [1]
 _FASTEST = 15.0  # angular rate that no vehicle keeps for a hundredth of the time [rad/s]
 _ALIGNS = 10.0  # that an alignment takes [s]
 _LATE = 60.0  # a course that is found later is no start [s]
 _SHARE = 0.25  # of a short record that passes before it is evaluated
+
+
+def is_bag(path: Path) -> bool:
+    """Return whether a path is the folder of a ROS 2 bag."""
+    return path.is_dir() and any(path.glob(_BAG))
+
+
+def name_log(path: Path) -> Path:
+    """Return the path of the log of a recording: beside it, or in a folder of tables."""
+    return (
+        path / f"{path.resolve().name}.toml"
+        if path.is_dir() and not is_bag(path)
+        else path.with_suffix(".toml")
+    )
 
 
 def new_log(name: str, *, console: Console, rates: str | None = None) -> None:
@@ -64,8 +68,8 @@ def new_log(name: str, *, console: Console, rates: str | None = None) -> None:
     ----------
     name : str
         A table with the columns of an IMU, whose fixes are in it or in a table beside it; the increments of
-        KF-GINS, with its fixes beside them; the log of an autopilot (ULog, DataFlash); a bag or an MCAP file.
-        The log, ``FILE.toml``, is written beside it.
+        KF-GINS, with its fixes beside them; the log of an autopilot (ULog, DataFlash); a bag or an MCAP file;
+        a folder with a table for each sensor. The log, ``FILE.toml``, is written beside it, or in the folder.
     rates : str or None
         Unit of the gyros, "deg" or "rad", where neither a name nor the motion tells it.
 
@@ -76,9 +80,7 @@ def new_log(name: str, *, console: Console, rates: str | None = None) -> None:
         written then.
     """
     path = Path(name)
-    if path.is_dir() and not any(path.glob(_BAG)):
-        raise ConfigError(f"{path}: a folder; name the file in it with the IMU")
-    log = path.with_suffix(".toml")
+    log = name_log(path)
     if log.exists() or log.is_symlink():
         raise ConfigError(f"{log}: exists already and is not replaced")
     if not path.exists():
@@ -87,13 +89,13 @@ def new_log(name: str, *, console: Console, rates: str | None = None) -> None:
     if form is not None and find_format(form).knows:
         _write_flight(path, form, log, console)
         return
-    if path.is_dir() or path.suffix.lower() in _BAGS:
+    if is_bag(path) or path.suffix.lower() in _BAGS:
         found = {kind: FoundSensor(path, {}, ()) for kind in ("imu", "gnss")}
     elif path.suffix.lower() == TEXT and not has_names(path):
         found = find_texts(path)
     else:
-        found = find_tables(path)
-    antenna = _read_antenna(found["gnss"])
+        found = find_sensors(path)
+    antenna = read_antenna(found["gnss"])
     clocks: dict[str, str] = {}
     made: list[Path] = []
     try:
@@ -101,7 +103,7 @@ def new_log(name: str, *, console: Console, rates: str | None = None) -> None:
             text = found_datasheets.read_imu_sheet(found["imu"].path, found["imu"].structure)
             found["imu"] = found["imu"]._replace(sheet=_write_sheet(path, "imu", text, made))
         records, found["imu"] = _try_log(log, found, antenna, clocks, rates)
-        text = _write_log(path.stem, found, antenna, clocks)
+        text = write_log(path.stem, found, antenna, clocks)
         durable.write(log, text + _choose_start(log, text, records))
     except UnicodeEncodeError as error:  # a name of the disk that is not UTF-8
         wrong = one_line(error.object[error.start : error.end + 20])
@@ -113,8 +115,13 @@ def new_log(name: str, *, console: Console, rates: str | None = None) -> None:
     for sheet in made:
         console.print(f"Wrote {sheet}: the noise of the IMU by {path.name}.", soft_wrap=True)
     for kind, one in found.items():
-        named = ", ".join(f"{ours} from {theirs}" for ours, theirs in one.columns.items() if ours != theirs)
-        within = f", structure {one.structure}" if one.structure else ""
+        named = ", ".join(
+            f"{ours} from {theirs}"
+            for ours, theirs in [*one.columns.items(), *one.gyro_columns.items()]
+            if ours != theirs
+        )
+        within = f" and {one.gyro_path.name}" if one.gyro_path not in (None, one.path) else ""
+        within += f", structure {one.structure}" if one.structure else ""
         within += f", by {one.program}" if one.program else ""
         console.print(f"{kind}: {one.path.name}{within}{': ' if named else ''}{named}", soft_wrap=True)
         for line in one.guessed:
@@ -137,9 +144,9 @@ def _write_flight(path: Path, form: str, log: Path, console: Console) -> None:
     made: list[Path] = []
     try:
         clocks: dict[str, str] = {}
-        units = {kind: _FLIGHT_IMU if kind == "imu" else _DATASHEETS[kind] for kind in sensors}
+        units = {kind: _FLIGHT_IMU if kind == "imu" else DATASHEETS[kind] for kind in sensors}
         if "baro" in sensors and held.baro_sd is not None:
-            text = found_datasheets.write_baro_sheet(path, *held.baro_sd, _DATASHEETS["baro"])
+            text = found_datasheets.write_baro_sheet(path, *held.baro_sd, DATASHEETS["baro"])
             units["baro"] = _write_sheet(path, "baro", text, made)
         spec, records = _read_back(log, _tell_flight(path, held, units, clocks))
         for key in ("velocity_offset_s", "time_offset_s"):
@@ -289,17 +296,18 @@ def _try_log(
     line of the log, if the motion shows it: first those of velocities, by the positions, then those of the
     IMU, by the velocities.
     """
-    spec, records = _read_back(log, _write_log(log.stem, found, antenna, clocks))
+    spec, records = _read_back(log, write_log(log.stem, found, antenna, clocks))
     if found["imu"].form != "kf-gins" and (line := _tell_axes(records.imu, found["imu"])):
         clocks["axes"] = line
-        spec, records = _read_back(log, _write_log(log.stem, found, antenna, clocks))
+        spec, records = _read_back(log, write_log(log.stem, found, antenna, clocks))
     if found["imu"].doubtful:
         records = _settle_rates(log, found, antenna, clocks, rates)
     for kind, key, name in _CLOCKS:
         off = next((one.value for one in _check(spec, records) if one.name == name and not one.good), None)
         if off is not None:
+            off += found["imu"].offset if kind == "imu" else 0.0
             clocks[kind] = f"{key} = {off:+.3f}  # by the motion: right?"
-            spec, records = _read_back(log, _write_log(log.stem, found, antenna, clocks))
+            spec, records = _read_back(log, write_log(log.stem, found, antenna, clocks))
     return records, found["imu"]
 
 
@@ -336,7 +344,7 @@ def _settle_rates(
     for one in (given, given.turn_unit()):
         found["imu"] = one
         unit = "deg" if split_unit(one.doubtful[0])[1].startswith("deg") else "rad"
-        spec, records = _read_back(log, _write_log(log.stem, found, antenna, clocks))
+        spec, records = _read_back(log, write_log(log.stem, found, antenna, clocks))
         gain = next((check.value for check in _check(spec, records) if check.name == "turn_gain"), None)
         read[unit] = records, one
         if rates is None and gain is not None and abs(gain - 1.0) < _SAME_UNIT:
@@ -348,13 +356,13 @@ def _settle_rates(
         why = "as --rates says" if rates else "no vehicle turns so fast in rad"
         rates = rates or ("deg" if most > _FASTEST else None)
     if rates is None:
-        names = ", ".join(given.columns[name] for name in given.doubtful)
+        names = ", ".join(given.all_columns[name] for name in given.doubtful)
         raise ConfigError(
             f"{given.path.name}: {names}: rad or deg? Neither names nor motion show the unit. "
             "Pass --rates deg or --rates rad"
         )
     records, settled = read[rates]
-    others = [line for line in given.guessed if given.columns[given.doubtful[0]] not in line]
+    others = [line for line in given.guessed if line not in given.turn_lines]
     found["imu"] = settled._replace(guessed=tuple(others), told=f"gyros in {rates}, {why}")
     return records
 
@@ -373,74 +381,3 @@ def _read_back(log: Path, text: str) -> tuple[LogSpec, LogRecords]:
     durable.write(log, text)
     spec = load_log(str(log))
     return spec, read_records(spec)
-
-
-def _read_antenna(fixes: FoundSensor) -> tuple[list[float], str] | None:
-    """Return the antenna position [m], b, and its source: a file of bench, NaveGo or KF-GINS."""
-    path, says = fixes.path, START
-    try:
-        if path.suffix.lower() == ".mat":
-            structures = list_structures(read_mat(path))
-            exported = "start" in structures
-            holder, field = ("start", "antenna_b_m") if exported else (fixes.structure, "larm")
-            says, place = f"{holder}.{field}", structures[holder][field]
-        elif fixes.form:
-            says, place = next(_list_levers(path.parent))
-        else:
-            place = read_json(path.parent / START)["antenna_b_m"]
-        x, y, z = (float(value) for value in place)
-    except (ConfigError, OSError, KeyError, StopIteration, TypeError, ValueError):
-        return None
-    return ([x, y, z], says) if np.isfinite([x, y, z]).all() else None
-
-
-def _list_levers(folder: Path) -> Iterator[tuple[str, list[str]]]:
-    """Yield the configuration files of KF-GINS in a folder, each with its antenna position."""
-    for path in sorted(one for one in folder.glob(_CONFIGURATIONS) if one.is_file()):
-        check_file(path, path.name, _MOST_CONFIGURATION)
-        line = re.search(r"^antlever:\s*\[(.*?)\]", path.read_text(encoding="utf-8"), re.MULTILINE)
-        if line is not None:
-            yield path.name, line[1].split(",")
-
-
-def _write_log(
-    title: str,
-    found: Mapping[str, FoundSensor],
-    antenna: tuple[list[float], str] | None,
-    clocks: Mapping[str, str],
-) -> str:
-    """Return the log above [alignment]; a comment asks for each value that the files do not contain."""
-    lines = [f"title = {quote_toml(title)}"]
-    asked = {
-        "imu": [
-            "# roll, pitch, yaw of its axes against forward, right, down?  mounting_deg = [0.0, 0.0, 0.0]",
-            "# from the same point as the antenna?                        position_m = [0.0, 0.0, 0.0]",
-        ],
-        "gnss": ["# where is its antenna: forward, right, down?  position_m = [0.0, 0.0, 0.0]"],
-        "baro": [],
-    }
-    if antenna is not None:
-        place, says = antenna
-        asked["gnss"] = [f"position_m = {json.dumps(place)}  # by {one_line(says)}"]
-    if found["imu"].path.suffix.lower() in _REP_103:
-        text = "# its axes are those of REP 103, forward, left, up?          mounting_deg = [180.0, 0.0, 0.0]"
-        asked["imu"][0] = text
-    if "axes" in clocks:
-        asked["imu"][0] = clocks["axes"]
-    for kind, one in found.items():
-        lines += ["", f"[{kind}]", f"file = {quote_toml(one.path.name)}"]
-        if one.form:
-            lines.append(f"format = {quote_toml(one.form)}")
-        if one.structure:
-            lines.append(f"topic = {quote_toml(one.structure)}")
-        lines += [f"# or topic = {quote_toml(other)}?" for other in one.others]
-        aliases = {ours: theirs for ours, theirs in one.columns.items() if ours != theirs}
-        if aliases:
-            listed = ", ".join(f"{ours} = {quote_toml(theirs)}" for ours, theirs in aliases.items())
-            lines.append(f"columns = {{ {listed} }}")
-        lines += [f"# {one.told}"] if one.told else []
-        lines += [f"# {one_line(line)}: right?" for line in one.guessed] + asked[kind]
-        lines += [clocks[kind]] if kind in clocks else []
-    lines += ["", "[sensors.assumed]  # which units? bench list sensors"]
-    lines += [f"{kind} = {quote_toml(one.sheet or _DATASHEETS[kind])}" for kind, one in found.items()]
-    return "\n".join(lines) + "\n"

@@ -10,7 +10,7 @@ from typing import Any
 from rich.console import Console
 
 from bench.cli import api, exchanging
-from bench.cli.new_files.new_log import new_log
+from bench.cli.new_files.new_log import name_log, new_log
 from bench.cli.verbs import result_table
 from bench.cli.verbs.flight_verbs import (
     RUNS,
@@ -118,7 +118,7 @@ MOST_CHECKS = 3
 
 def _find_log(name: str, console: Console, rates: str | None) -> str:
     """Return the log of a recording, which is written if it is not there; a log is its own."""
-    path, log = Path(name), Path(name).with_suffix(".toml")
+    path, log = Path(name), name_log(Path(name))
     if path.suffix == ".toml" or not path.exists():
         return name
     if not log.exists():

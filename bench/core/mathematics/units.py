@@ -63,6 +63,7 @@ ENDINGS: Mapping[str, Unit] = {
     "_rad_s": Unit("rad/s"),
     "_m_s2": Unit("m/s^2"),
     "_mrad": Unit("mrad", 1e-3),
+    "_km_h": Unit("km/h", 1.0 / 3.6),
     "_mps": Unit("m/s"),
     "_m_s": Unit("m/s"),
     "_deg": Unit("deg", DEG),

@@ -58,6 +58,8 @@ class SourceSpec:
     time_offset: float = 0.0  # added to its times [s]
     axes: tuple[int, int, int] = (1, 2, 3)  # of the file along x, y, z; negative: reversed
     gravity: bool = False  # its accelerometers have the sign of gravity
+    gyro_path: Path | None = None  # of the gyros, if they have times of their own
+    gyro_columns: Mapping[str, str] = field(default_factory=dict)
     observations: tuple[Path, ...] = ()  # of a receiver whose fixes are solved; ``path`` is the first
     navigation: tuple[Path, ...] = ()
 
@@ -190,7 +192,7 @@ def load_log(
         + checks.check_requested(choices, estimators or (), of_log=True)
         + checks.check_requirements(table.requirement, choices)
         + _check_start(table)
-        + check_frames(table)
+        + check_frames(table, beside)
     )
     wrong += [f"{place}{line}" for line in across]
     if wrong:
@@ -340,7 +342,7 @@ def _find_source(
         listed = f"{', '.join(name for name, one in FORMATS.items() if one.topics)} and tables in {MATLAB}"
         wrong.append(f"{place}[{kind}] topic is for {listed}; format {form!r} has none")
     else:
-        return SourceSpec(path, form, row.topic, dict(row.columns), **describe_frame(row, day))
+        return SourceSpec(path, form, row.topic, dict(row.columns), **describe_frame(row, day, beside))
     return None
 
 

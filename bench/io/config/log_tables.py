@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import datetime
 import math
+import os
 import re
 from collections import Counter
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, WithJsonSchema, create_model
@@ -15,7 +17,7 @@ from pydantic_core import PydanticCustomError
 from bench.core.records.instruments import INSTRUMENTS
 from bench.io.config.profile_tables import EstimatorTable, EvaluationTable, RequirementTable
 from bench.io.config.tables import NOT_NEGATIVE, ROWS, Table, between
-from bench.io.log_formats import FORMATS, list_names
+from bench.io.log_formats import FORMATS, TABLES, list_names
 from bench.simulation.signals.gps_time import leap_seconds
 
 _Angle = Annotated[float, between(-360, 360)]
@@ -115,6 +117,10 @@ class FileTable(Table):
 class ImuTable(FileTable, AxesTable):
     """The IMU: roll, pitch, yaw of its axes relative to forward, right, down, then the misalignment."""
 
+    gyro_file: str | None = None
+    """Table of the gyros, if ``file`` has the accelerometers alone, or each its own times; joined by time."""
+    gyro_columns: _Columns = Field(default_factory=dict)
+    """Columns of ``gyro_file``, as ``columns``."""
     sign: Literal["specific-force", "gravity"] = "specific-force"
     """Sign of the accelerometers: at rest, "specific-force" points up and "gravity" down, as on iOS."""
     mounting_deg: _Angles3 = (0.0, 0.0, 0.0)
@@ -279,9 +285,17 @@ def list_files(table: Any) -> dict[str, Any]:
     return {kind: getattr(table, kind) for kind in kinds}
 
 
-def check_frames(table: Any) -> list[str]:
-    """Return a line for each table with left-handed axes or times in UTC without a date."""
-    wrong = []
+def check_frames(table: Any, beside: Path) -> list[str]:
+    """Return a line for each wrong table of gyros, left-handed axes, and times in UTC without a date."""
+    imu: ImuTable = table.imu
+    wrong = ["[imu] gyro_columns needs gyro_file"] if imu.gyro_columns and imu.gyro_file is None else []
+    if imu.gyro_file is not None:
+        path = beside / imu.gyro_file
+        what = f"[imu] gyro_file = {imu.gyro_file!r}"
+        if not os.path.isfile(path):  # unlike Path.is_file, false for a name that is too long
+            wrong.append(f"{what}: no such file beside the log")
+        elif path.suffix.lower() not in (*TABLES, ".txt") or imu.format not in (None, "table"):
+            wrong.append(f"{what}: file and gyro_file must be tables, {', '.join(TABLES)} or .txt")
     for kind, row in list_files(table).items():
         if isinstance(row, AxesTable) and is_right_handed(read_axes(row.axes)) == row.left_handed:
             hand = "right-handed" if row.left_handed else "left-handed"
@@ -295,12 +309,14 @@ def check_frames(table: Any) -> list[str]:
     return wrong
 
 
-def describe_frame(row: FileTable, day: datetime.date | None) -> dict[str, Any]:
-    """Return the offset of the times of a table to GPS time [s], its axes, and the sign of its forces."""
+def describe_frame(row: FileTable, day: datetime.date | None, beside: Path) -> dict[str, Any]:
+    """Return the offset of the times of a table to GPS time [s], its axes, sign of forces, and gyros."""
     leap = leap_seconds(day) if row.clock == "utc" and day is not None else 0
     frame: dict[str, Any] = {"time_offset": float(row.time_offset_s) + leap}
     if isinstance(row, AxesTable):
         frame["axes"] = read_axes(row.axes)
     if isinstance(row, ImuTable):
         frame["gravity"] = row.sign == "gravity"
+        frame["gyro_path"] = None if row.gyro_file is None else beside / row.gyro_file
+        frame["gyro_columns"] = dict(row.gyro_columns)
     return frame

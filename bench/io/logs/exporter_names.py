@@ -24,6 +24,9 @@ class Exporter(NamedTuple):
     marks: tuple[str, ...]  # patterns of names, one of which is there
     columns: Mapping[str, tuple[str, ...]]  # name of ours -> patterns of theirs, the best first
     axes: tuple[float, float, float] | None = None  # of its IMU [deg]; None: as it was mounted
+    sign: str = ""  # of its accelerometers, if it is not that of specific force
+    gyro_clock: str = ""  # pattern of the time of its gyros [s], if they have their own
+    epochs: tuple[str, str] = ("", "")  # patterns of the times of IMU and fixes [s], on two clocks
 
 
 def _name_axes(ours: str, *theirs: str, unit: str = "") -> dict[str, tuple[str, ...]]:
@@ -211,6 +214,84 @@ EXPORTERS = (
             "lat_deg": ("(location|gps)latitude",),
             "lon_deg": ("(location|gps)longitude",),
             "alt_m": ("(location|gps)altitude",),
+        },
+    ),
+    # SensorLog for iOS: forces with the sign of gravity (CMAccelerometerData); clocks since the boot and 1970
+    Exporter(
+        "SensorLog",
+        ("accelerometertimestampsincereboots?",),
+        {
+            "t_s": ("accelerometertimestampsincereboots?",),
+            **_name_axes("gyro", "gyrorotation{}", unit="_rad_s"),
+            **_name_axes("accel", "accelerometeracceleration{}", unit="_g"),
+        },
+        sign="gravity",
+        gyro_clock="gyrotimestampsincereboots?",
+        epochs=("accelerometertimestampsincereboots?", "locationtimestampsince1970s?"),
+    ),
+    Exporter(
+        "SensorLog",
+        ("locationtimestampsince1970s?",),
+        {
+            "t_s": ("locationtimestampsince1970s?",),
+            "lat_deg": ("locationlatitude",),
+            "lon_deg": ("locationlongitude",),
+            "alt_m": ("locationaltitude",),
+            "speed_mps": ("locationspeed",),
+            "course_deg": ("locationcourse",),
+            "accuracy_h_m": ("locationhorizontalaccuracy",),
+            "accuracy_v_m": ("locationverticalaccuracy",),
+        },
+    ),
+    # Sensor Logger, UNITS.md of github.com/tszheichoi/awesome-sensor-logger: its Location.csv
+    Exporter(
+        "Sensor Logger",
+        ("secondselapsed",),
+        {
+            "t_ns": ("time",),
+            "lat_deg": ("latitude",),
+            "lon_deg": ("longitude",),
+            "alt_m": ("altitude",),
+            "speed_mps": ("speed",),
+            "course_deg": ("bearing",),
+            "accuracy_h_m": ("horizontalaccuracy",),
+            "accuracy_v_m": ("verticalaccuracy",),
+            "accuracy_speed_mps": ("speedaccuracy",),
+        },
+    ),
+    # phyphox: its Location.csv; units in brackets
+    Exporter(
+        "phyphox",
+        ("direction",),
+        {
+            "t_s": ("time",),
+            "lat_deg": ("latitude",),
+            "lon_deg": ("longitude",),
+            "alt_m": ("altitudewgs84", "height", "altitude"),
+            "speed_mps": ("velocity", "speed"),
+            "course_deg": ("direction",),
+            "accuracy_h_m": ("horizontalaccuracy",),
+            "accuracy_v_m": ("verticalaccuracy",),
+        },
+    ),
+    # car loggers on phones, as in github.com/balzer82/Kalman: milliseconds since 1970, deg/s, km/h
+    Exporter(
+        "car logger",
+        ("rollrate",),
+        {
+            "t_ms": ("millis",),
+            **{
+                f"gyro_{a}_deg_s": (f"{n}rate",) for a, n in zip("xyz", ("roll", "pitch", "yaw"), strict=True)
+            },
+            **_name_axes("accel", "a{}", unit="_m_s2"),
+            "lat_deg": ("latitude",),
+            "lon_deg": ("longitude",),
+            "alt_m": ("altitude",),
+            "speed_km_h": ("speed",),
+            "course_deg": ("course",),
+            "hdop": ("hdop",),
+            "vdop": ("vdop",),
+            "satellites": ("satellitesused",),
         },
     ),
     # gnss-ins-sim: units in brackets; the velocity is along n

@@ -20,18 +20,26 @@ from bench.core.mathematics.arrays import BoolArray, FloatArray, IntArray
 from bench.core.mathematics.rotation import from_euler, multiply, rotate
 from bench.core.mathematics.units import SAME_INSTANT
 from bench.core.records.data import GnssFixes, GnssObservations, ImuData
-from bench.core.records.instruments import INSTRUMENTS, BaroData
+from bench.core.records.instruments import INSTRUMENTS
 from bench.core.records.run_records import SkyView
 from bench.core.words.exceptions import ConfigError
 from bench.io.config.log import RANGES, LogSpec, SourceSpec
 from bench.io.log_formats import find_format
 from bench.io.logs import formats
 from bench.io.logs.formats.navego_structures import list_sensors
+from bench.io.logs.log_heights import find_ground, set_altimeter
 from bench.io.logs.log_ranges import read_ranges
 from bench.io.logs.record_clock import check_order, meet_week, unwrap_week
-from bench.io.logs.row_selection import drop_others, drop_repeated, drop_unreported
+from bench.io.logs.row_selection import (
+    drop_frozen,
+    drop_others,
+    drop_repeated,
+    drop_timeless,
+    drop_unreported,
+)
 from bench.io.logs.rows import GNSS, IMU, INSTRUMENT_ROWS, MOST_ROWS, OPTIONAL, LogRows
 from bench.io.logs.sensor_axes import turn_axes
+from bench.io.logs.split_imu import read_split
 from bench.io.logs.table_files import find_first, read_table
 from bench.navigation.engine.kept_rows import take_rows
 from bench.simulation.signals.air import SEA_LEVEL_PRESSURE, SEA_LEVEL_TEMPERATURE, airspeed_sd
@@ -39,7 +47,6 @@ from bench.simulation.signals.orbits import DAY
 
 MOST_INSTANTS = 400_000
 """Most epochs of a solution, each of some kB: 11 hours at 10 Hz."""
-_SETTING = 10.0  # time at the start by which an altimeter is set [s]
 GAP = 3.0
 """An interval longer than this many median intervals is a gap [1]."""
 
@@ -134,12 +141,15 @@ def _cut(record: Any, until: float) -> Any:
 def _read_rows(source: SourceSpec, kind: str) -> LogRows:
     shown, topic = source.path.name, source.topic
     form = "navego" if _is_navego(source, kind) else source.format
-    if form == "table":
+    if source.gyro_path is not None:
+        rows = read_split(source)
+    elif form == "table":
         kinds = {"imu": IMU, "gnss": GNSS, **INSTRUMENT_ROWS}[kind]
         table = read_table(source.path, kinds, OPTIONAL, MOST_ROWS, source.columns, structure=topic)
         rows = LogRows.from_table(table, shown)
     else:
         rows = formats.read(form, source.path, kind, topic)
+    rows = drop_timeless(rows, kind, shown)
     bad = ~np.isfinite(rows.t)
     if bad.all():
         raise ConfigError(f"{shown}: no rows")
@@ -151,7 +161,7 @@ def _read_rows(source: SourceSpec, kind: str) -> LogRows:
     if kind == "imu":
         rows = drop_others(rows, shown)
     if kind == "gnss":
-        rows = drop_unreported(drop_repeated(rows, shown), shown)
+        rows = drop_unreported(drop_frozen(drop_repeated(rows, shown), shown), shown)
     values = dict(rows.values)
     if "arrival" in values:
         values["arrival"] = _add(values["arrival"], source.time_offset)
@@ -351,35 +361,6 @@ def _make_instrument(kind: str, rows: LogRows, spec: LogSpec, origin: float) -> 
         valid=np.asarray(np.isfinite(value).all(axis=1)) & _find_flagged(rows),
         **columns,
     )
-
-
-def set_altimeter(baro: BaroData, fixes: GnssFixes, begin: float, judged: float) -> BaroData:
-    """Return a barometer set at the start to the height of the fixes, as a pilot sets the field elevation.
-
-    Fixes from ``judged`` on [s] may be withheld to evaluate filters: they set it only if there is none
-    before. No log contains the pressure of the day; without it, heights are off by a hundred meters.
-    """
-    near = fixes.valid & (fixes.t >= begin) & (fixes.t <= begin + _SETTING)
-    before = near & (fixes.t < judged)
-    near = before if before.any() else near
-    known = baro.valid & np.isfinite(baro.alt_baro)
-    if not near.any() or not known.any():
-        return baro
-    order = np.argsort(baro.t[known], kind="stable")
-    own = np.interp(fixes.t[near], baro.t[known][order], baro.alt_baro[known][order])
-    return replace(baro, alt_baro=baro.alt_baro + np.median(fixes.lla[near, 2] - own))
-
-
-def find_ground(spec: LogSpec, instruments: Mapping[str, Any], fixes: GnssFixes) -> float:
-    """Return the height of the ground below a radar [m], from the log or from the first radar row."""
-    if spec.ground_alt is not None or "radar" not in instruments:
-        return spec.ground_alt or 0.0
-    radar, heights = instruments["radar"], INSTRUMENTS["radar"].values(instruments["radar"])[:, 0]
-    seen, near = np.flatnonzero(radar.valid), np.flatnonzero(fixes.valid)
-    if not len(seen) or not len(near):
-        return 0.0
-    fix = near[np.argmin(np.abs(fixes.t[near] - radar.t[seen[0]]))]
-    return float(fixes.lla[fix, 2] - heights[seen[0]])
 
 
 def divide_intervals(imu: ImuData, cuts: FloatArray) -> ImuData:

@@ -13,6 +13,7 @@ from bench.io.logs.rows import LogRows
 
 HELD = 0.05
 """Fixes in steps shorter than this may be repetitions [s]: few receivers have more than 20 a second."""
+_MOVING = 1.0  # speed at which no position stays the same [m/s]
 REGULAR = 1.5
 """An interval up to this many median intervals lacks no row [1]."""
 
@@ -84,6 +85,32 @@ def _find_new(columns: Sequence[FloatArray]) -> BoolArray:
         return other if block.start else np.concatenate([[True], other])
 
     return disk_arrays.fill(len(columns[0]), differ, np.bool_)
+
+
+def drop_timeless(rows: LogRows, kind: str, shown: str) -> LogRows:
+    """Return the rows with a time: of an IMU, rows that have values must have one, too."""
+    lacks = np.isnan(rows.t)
+    if not lacks.any() or lacks.all():
+        return rows
+    if kind == "imu":
+        lacks[lacks] = np.isnan(np.column_stack([value[lacks] for value in rows.values.values()])).all(axis=1)
+    if not lacks.any():
+        return rows
+    note = f"{shown}: {np.count_nonzero(lacks)} of {len(lacks)} rows have no time and are left out"
+    return _take(rows, np.flatnonzero(~lacks), note)
+
+
+def drop_frozen(rows: LogRows, shown: str) -> LogRows:
+    """Return the rows without fixes that repeat position and velocity in motion, if these are not most."""
+    vel = rows.values.get("vel_n")
+    if vel is None or len(vel) < 2:
+        return rows
+    with np.errstate(invalid="ignore"):
+        frozen = ~_find_new([rows.values["lla"], vel]) & (np.hypot(vel[:, 0], vel[:, 1]) > _MOVING)
+    if not frozen.any() or 2 * np.count_nonzero(frozen) > len(frozen):
+        return rows
+    note = f"{shown}: {np.count_nonzero(frozen)} of {len(frozen)} fixes repeat the one before in motion"
+    return _take(rows, np.flatnonzero(~frozen), f"{note} and are left out")
 
 
 def drop_unreported(rows: LogRows, shown: str) -> LogRows:

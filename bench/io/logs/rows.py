@@ -80,9 +80,19 @@ GNSS: Mapping[str, tuple[Group, ...]] = {
         group("speed", "vel_n", "vel_e", "vel_d"),
         group("speed", "vel_n", "vel_e", "vel_u"),
         group("speed", "ecef_vel_x", "ecef_vel_y", "ecef_vel_z"),
+        {**group("speed", "speed"), **group("angle", "course")},
     ),
-    "position sd": (group("length", "sd_n", "sd_e", "sd_d"), group("length", "sd_n", "sd_e", "sd_u")),
-    "velocity sd": (group("speed", "sd_vn", "sd_ve", "sd_vd"), group("speed", "sd_vn", "sd_ve", "sd_vu")),
+    "position sd": (
+        group("length", "sd_n", "sd_e", "sd_d"),
+        group("length", "sd_n", "sd_e", "sd_u"),
+        group("length", "accuracy_h", "accuracy_v"),
+        group("length", "accuracy_h"),
+    ),
+    "velocity sd": (
+        group("speed", "sd_vn", "sd_ve", "sd_vd"),
+        group("speed", "sd_vn", "sd_ve", "sd_vu"),
+        group("speed", "accuracy_speed"),
+    ),
     "position covariance": (_name_covariance("pos"),),
     "velocity covariance": (_name_covariance("vel"),),
     "quality": (group("", "quality"),),
@@ -164,7 +174,7 @@ class LogRows:
             values["lla"] = lla
             if "velocity" in found:
                 values["vel_n"] = _to_vel_n(found["velocity"], stems["velocity"], lla)
-            values |= {new: found[old] for old, new in _SPREADS.items() if old in found}
+            values |= {new: _spread(found[old], stems[old]) for old, new in _SPREADS.items() if old in found}
         if "altitude" in found:
             pressure = stems["altitude"][0] == "pressure"
             values["alt_baro"] = _to_altitude(found["altitude"]) if pressure else found["altitude"]
@@ -178,7 +188,31 @@ class LogRows:
 def _to_vel_n(vel: FloatArray, stems: tuple[str, ...], lla: FloatArray) -> FloatArray:
     if stems[0] == "ecef_vel_x":
         return np.asarray(np.einsum("kji,kj->ki", matrix_en(lla[:, 0], lla[:, 1]), vel))
+    if stems[0] == "speed":
+        return _to_horizontal(*vel.T)
     return vel * [1.0, 1.0, -1.0] if stems[2] == "vel_u" else vel
+
+
+def _to_horizontal(speed: FloatArray, course: FloatArray) -> FloatArray:
+    """Return velocities (N, 3) whose component down is NaN; phones write -1 for unknown."""
+    known = (speed > 0) & (course >= 0)
+    still = speed == 0
+    north, east = (
+        np.where(known, speed * turn(course), np.where(still, 0.0, np.nan)) for turn in (np.cos, np.sin)
+    )
+    return np.column_stack([north, east, np.full(len(speed), np.nan)])
+
+
+def _spread(values: FloatArray, stems: tuple[str, ...]) -> FloatArray:
+    """Return standard deviations along north, east, down; an axis is NaN if the file has none for it.
+
+    A horizontal accuracy is the root sum square of north and east.
+    """
+    if not stems[0].startswith("accuracy"):
+        return values
+    down = values[:, 1] if len(stems) > 1 else np.full(len(values), np.nan)
+    h = values[:, 0] / (np.sqrt(2.0) if stems[0] == "accuracy_h" else 1.0)
+    return np.column_stack([h, h, down])
 
 
 def to_lla(pos_e: FloatArray) -> FloatArray:

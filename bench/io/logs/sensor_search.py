@@ -10,34 +10,33 @@ from typing import NamedTuple
 import numpy as np
 
 from bench.core.mathematics.arrays import FloatArray
-from bench.core.mathematics.units import ENDINGS, STANDARD_GRAVITY, split_unit
+from bench.core.mathematics.units import ENDINGS, FACTORS, STANDARD_GRAVITY, split_unit
 from bench.core.words.exceptions import ConfigError
-from bench.io.logs import formats
 from bench.io.logs.exporter_names import make_plain, match_exporter
 from bench.io.logs.file_kinds import describe_unreadable
+from bench.io.logs.finding.program_clocks import find_clocks
 from bench.io.logs.formats.navego_structures import list_sensors
+from bench.io.logs.record_clock import find_week
 from bench.io.logs.rows import BARO, GNSS, IMU, MOST_ROWS
 from bench.io.logs.table_files import list_columns, read_columns
 
-_TABLES = (".csv", ".parquet", ".mat")
+TABLES = (".csv", ".parquet", ".mat")
 TEXT = ".txt"
 """Ending of the texts of KF-GINS, numbers without names, and of the tables of some programs."""
-_TEXTS = (TEXT, ".tsv")
+TEXTS = (TEXT, ".tsv")
 _GRAVITY = {"g": 1.0, "m_s2": STANDARD_GRAVITY, "mg": 1000.0}
-_NEAR, _SAME_WAY = 0.25, 0.5  # how near gravity the median is, and how much of it stays along an axis [1]
-_FORCES = (5.0, 20.0)  # that the median specific force is between [m/s^2]
-_UNKNOWN = -1.0  # that receivers write for a standard deviation they do not know
-_FASTEST = 10.0  # median angular rate of no vehicle [rad/s]
-_IMU_STEP, _OTHER_STEP = 0.5, 2.0  # longest step of the times of an IMU, of another sensor [s]
+NEAR, _SAME_WAY = 0.25, 0.5  # how near gravity the median is, and how much of it stays along an axis [1]
+IMU_STEP, _OTHER_STEP = 0.5, 2.0  # longest step of the times of an IMU, of another sensor [s]
 _WRITTEN = {unit.symbol.replace("^", "").lower(): ending for ending, unit in ENDINGS.items()}
 """Unit in brackets behind a name -> ending."""
-_FOREIGN = re.compile(r"f(oo|ee)?t(/s)?|km/?h|kph|kno?ts?|kn|mph|min|h|hours?")
+_FOREIGN = re.compile(r"f(oo|ee)?t(/s)?|kno?ts?|kn|mph|min|h|hours?")
 """Units that no column of a log has."""
+_COUNTS = ("satellites", "hdop", "vdop")  # columns without a unit
 _IN_BRACKETS = re.compile(r"[\[(](?!\d+[\])])")
 """A unit, but no index."""
 _RUN_TOGETHER = {
     **{"_dps": "_deg_s", "_degps": "_deg_s", "_degs": "_deg_s", "_radps": "_rad_s", "_rads": "_rad_s"},
-    **{"_mps2": "_m_s2", "_ms2": "_m_s2", "_mss": "_m_s2"},
+    **{"_kmh": "_km_h", "_kph": "_km_h", "_mps2": "_m_s2", "_ms2": "_m_s2", "_mss": "_m_s2"},
 }
 """Endings of units as others write them -> ending."""
 _SPELLINGS = {
@@ -49,6 +48,8 @@ _SPELLINGS = {
     "²": "2",
     "/s1": "/s",
     "sec": "s",
+    "kmh": "km/h",
+    "kph": "km/h",
 }
 
 
@@ -73,7 +74,7 @@ def guess_force(force: FloatArray) -> str:
     size = float(np.nanmedian(np.linalg.norm(force, axis=1)))
     if not np.linalg.norm(np.nanmedian(force, axis=0)) > _SAME_WAY * size:
         return ""  # without gravity
-    return next((unit for unit, g in _GRAVITY.items() if abs(size / g - 1.0) < _NEAR), "")
+    return next((unit for unit, g in _GRAVITY.items() if abs(size / g - 1.0) < NEAR), "")
 
 
 def guess_angle(angle: FloatArray) -> str:
@@ -87,7 +88,7 @@ def guess_length(value: FloatArray) -> str:
     return "mm" if np.array_equal(value, np.round(value)) and np.ptp(value) > 1.0 else "m"
 
 
-class _SensorQuantity(NamedTuple):
+class SensorQuantity(NamedTuple):
     """Columns that belong together: names of the bench, patterns of others, and their unit by the values."""
 
     stems: tuple[str, ...]
@@ -96,23 +97,23 @@ class _SensorQuantity(NamedTuple):
     needed: bool = True
 
 
-def _name_axes(stem: str, words: str, guess: Callable[[FloatArray], str]) -> _SensorQuantity:
+def _name_axes(stem: str, words: str, guess: Callable[[FloatArray], str]) -> SensorQuantity:
     patterns = tuple(rf"(.*{words})(_?{axis}|\.{k})" for k, axis in enumerate("xyz", 1))  # .1: of a matrix
-    return _SensorQuantity(tuple(f"{stem}_{axis}" for axis in "xyz"), patterns, guess)
+    return SensorQuantity(tuple(f"{stem}_{axis}" for axis in "xyz"), patterns, guess)
 
 
-_TIME = _SensorQuantity(("t",), (r"t|time|timestamp|.*_time|i?tow|sec(onds?)?(_elapsed)?",), guess_time)
+TIME = SensorQuantity(("t",), (r"t|time|timestamp|.*_time|i?tow|sec(onds?)?(_elapsed)?",), guess_time)
 _INCREMENTS = (
-    _TIME,
+    TIME,
     _name_axes("dtheta", "d(elta_?)?theta", guess_turn),
     _name_axes("dvel", "d(elta_?)?v(el|elocity)?", lambda _: "m_s"),
 )
 _VELOCITY = r"(.*_)?v(el|elocity)?_?({})"
 
 
-def _name_velocity(third: str, word: str) -> _SensorQuantity:
+def _name_velocity(third: str, word: str) -> SensorQuantity:
     patterns = tuple(_VELOCITY.format(words) for words in ("n|north", "e|east", f"{third}|{word}"))
-    return _SensorQuantity(("vel_n", "vel_e", f"vel_{third}"), patterns, lambda _: "mps", needed=False)
+    return SensorQuantity(("vel_n", "vel_e", f"vel_{third}"), patterns, lambda _: "mps", needed=False)
 
 
 _ACCURACY = re.compile(r"(.*_)?(sd|std|stddev|sigma|var|cov|accuracy)(_.*)?")
@@ -120,20 +121,18 @@ _NO_GRAVITY = re.compile(r"(.*_)?(linear|lin|free|user|gravity|bias|mag).*")
 """What is beside the specific force in the tables of phones and filters."""
 _TURNS = ("gyro_", "dtheta_")
 _MILLIMETERS = ("alt", "vel_n", "vel_e", "vel_d")
-_RATES = (
-    _TIME,
-    _name_axes("gyro", r"gyr(o(scope)?)?s?|w|omega|rate|angular_(velocity|rate)", guess_rate),
-    _name_axes("accel", r"acc(el|eleration|elerometer)?|(?<![a-z])a|(?<![a-z])f|force", guess_force),
-)
+GYRO = _name_axes("gyro", r"gyr(o(scope)?)?s?|w|omega|rate|angular_(velocity|rate)", guess_rate)
+ACCEL = _name_axes("accel", r"acc(el|eleration|elerometer)?|(?<![a-z])a|(?<![a-z])f|force", guess_force)
+_RATES = (TIME, GYRO, ACCEL)
 _FIX = (
-    _TIME,
-    _SensorQuantity(("lat", "lon"), (r"(.*_)?lat(itude)?", r"(.*_)?(lon|lng|long|longitude)"), guess_angle),
-    _SensorQuantity(("alt",), (r"(.*_)?(alt|altitude|height|hgt|h)",), lambda _: "m"),
+    TIME,
+    SensorQuantity(("lat", "lon"), (r"(.*_)?lat(itude)?", r"(.*_)?(lon|lng|long|longitude)"), guess_angle),
+    SensorQuantity(("alt",), (r"(.*_)?(alt|altitude|height|hgt|h)",), lambda _: "m"),
     _name_velocity("d", "down"),
     _name_velocity("u", "up"),
 )
-_HEIGHT = (_TIME, _SensorQuantity(("alt_baro",), (r"alt_?baro|baro_?alt(itude)?",), lambda _: "m"))
-_KINDS: Mapping[str, tuple[tuple[_SensorQuantity, ...], ...]] = {
+_HEIGHT = (TIME, SensorQuantity(("alt_baro",), (r"alt_?baro|baro_?alt(itude)?",), lambda _: "m"))
+_KINDS: Mapping[str, tuple[tuple[SensorQuantity, ...], ...]] = {
     "imu": (_RATES, _INCREMENTS),
     "gnss": (_FIX,),
     "baro": (_HEIGHT,),
@@ -155,13 +154,32 @@ class FoundSensor(NamedTuple):
     program: str = ""  # that wrote it
     axes: tuple[float, float, float] | None = None  # of an IMU, as the program has them [deg]
     sheet: str = ""  # file of the datasheet that was in it
+    gyro_path: Path | None = None  # of gyros that have times of their own
+    gyro_columns: Mapping[str, str] = {}
+    sign: str = ""  # of its accelerometers, if the program is known for another than that of specific force
+    offset: float = 0.0  # of its clock to the clock of the fixes [s]
+
+    @property
+    def all_columns(self) -> dict[str, str]:
+        """Columns of the table and of the table of the gyros."""
+        return {**self.columns, **self.gyro_columns}
+
+    @property
+    def turn_lines(self) -> tuple[str, ...]:
+        """Lines of ``guessed`` on the unit of the gyros."""
+        turns = {theirs for ours, theirs in self.all_columns.items() if ours.startswith(_TURNS)}
+        head = f"{self.gyro_path.name}: " if self.gyro_path else ""
+
+        def is_on_turns(line: str) -> bool:
+            names = line.removeprefix(head).partition(": taken as ")[0].split(", ")
+            return line.startswith(head) and not turns.isdisjoint(names)
+
+        return tuple(line for line in self.guessed if is_on_turns(line))
 
     @property
     def doubtful(self) -> tuple[str, ...]:
-        """Return the columns of gyros with a unit guessed from their values."""
-        turns = {ours: theirs for ours, theirs in self.columns.items() if ours.startswith(_TURNS)}
-        told = any(theirs in line for line in self.guessed for theirs in turns.values())
-        return tuple(turns) if told else ()
+        """Columns of gyros with a unit guessed from their values."""
+        return tuple(ours for ours in self.all_columns if ours.startswith(_TURNS)) if self.turn_lines else ()
 
     def turn_unit(self) -> FoundSensor:
         """Return it with gyros in the other unit."""
@@ -171,7 +189,10 @@ class FoundSensor(NamedTuple):
             end = next((one for one in other if ours.endswith(one)), "")
             return ours.removesuffix(end) + other[end] if ours in self.doubtful and end else ours
 
-        return self._replace(columns={swap(ours): theirs for ours, theirs in self.columns.items()})
+        columns, gyros = (
+            {swap(ours): theirs for ours, theirs in one.items()} for one in (self.columns, self.gyro_columns)
+        )
+        return self._replace(columns=columns, gyro_columns=gyros)
 
 
 def find_tables(path: Path) -> dict[str, FoundSensor]:
@@ -182,15 +203,30 @@ def find_tables(path: Path) -> dict[str, FoundSensor]:
     ConfigError
         If there is no IMU in the file, no receiver in any, or a unit cannot be told.
     """
-    endings = (*_TABLES, *_TEXTS) if path.suffix.lower() in _TEXTS else _TABLES
+    endings = (*TABLES, *TEXTS) if path.suffix.lower() in TEXTS else TABLES
     beside = sorted(p for p in path.parent.iterdir() if p.suffix.lower() in endings and p != path)
-    found: dict[str, FoundSensor] = {}
+    return find_beside(find_sensor(path, "imu", IMU_STEP), path, beside)
+
+
+def find_beside(imu: FoundSensor | None, path: Path, beside: Sequence[Path]) -> dict[str, FoundSensor]:
+    """Return an IMU with the other sensors of its table and of tables beside it, preferably at its times.
+
+    Raises
+    ------
+    ConfigError
+        As `find_tables`.
+    """
+    found = {} if imu is None else {"imu": _name_form(imu)}
     wrong: list[ConfigError] = []
-    for kind in _KINDS:
+    for kind in [kind for kind in _KINDS if kind != "imu"]:
         matches: list[FoundSensor] = []
-        for place in (path, *beside) if kind != "imu" else (path,):
+        apart: list[FoundSensor] = []
+        for place in (path, *beside):
             try:
-                match = _find_sensor(place, kind, _IMU_STEP if place == path else _OTHER_STEP)
+                match = find_sensor(place, kind, IMU_STEP if place == path else _OTHER_STEP)
+                if match is not None and imu is not None and not _meet(imu, match):
+                    apart.append(match)
+                    continue
             except ConfigError as error:
                 if place == path:
                     raise
@@ -200,9 +236,8 @@ def find_tables(path: Path) -> dict[str, FoundSensor]:
                 matches.append(match)
                 if not match.turns:
                     break
-        if matches:
-            best = min(matches, key=lambda match: match.turns)
-            found[kind] = best._replace(form="table") if best.path.suffix.lower() in _TEXTS else best
+        if matches or apart:
+            found[kind] = _name_form(min(matches or apart, key=lambda match: match.turns))
     if missing := [kind for kind in ("imu", "gnss") if kind not in found]:
         if message := describe_unreadable(path):
             raise ConfigError(message)
@@ -218,64 +253,28 @@ def find_tables(path: Path) -> dict[str, FoundSensor]:
     return found
 
 
-def has_names(path: Path) -> bool:
-    """Tell whether a text is a table with names above its columns; raise ConfigError if it is not a text."""
-    return any(re.search(r"[a-z]{2}", name.lower()) for name in list_columns(path))
+def _name_form(found: FoundSensor) -> FoundSensor:
+    return found._replace(form="table") if found.path.suffix.lower() in TEXTS else found
 
 
-def find_texts(path: Path) -> dict[str, FoundSensor]:
-    """Return the files of increments and fixes of KF-GINS, which have no column names, by their values.
-
-    Raises
-    ------
-    ConfigError
-        If the file has no increments, or no file beside it the fixes; it says why.
-    """
-    imu = formats.read("kf-gins", path, "imu", None)
-    steps = np.diff(imu.t, prepend=np.nan)
-    forward = steps > 0
-    rate, force = (
-        float(np.nanmedian(np.linalg.norm(imu.values[name][forward], axis=1) / steps[forward]))
-        if forward.any()
-        else np.nan
-        for name in ("dtheta", "dvel")
-    )
-    if not (_FORCES[0] < force < _FORCES[1] and rate < _FASTEST):
-        raise ConfigError(
-            f"{path.name}: no increments of an IMU as KF-GINS has them: second of week, angles [rad] and "
-            "velocities [m/s] forward, right, down"
-        )
-    faults = []
-    for place in sorted(one for one in path.parent.iterdir() if one.suffix.lower() == TEXT and one != path):
-        if not (fault := _find_fault(place, imu.t)):
-            files = {"imu": path, "gnss": place}
-            return {kind: FoundSensor(file, {}, (), form="kf-gins") for kind, file in files.items()}
-        faults.append(fault)
-    raise ConfigError(
-        f"{path.name}: no fixes beside it, as KF-GINS has them: a {TEXT} with second of week, latitude, "
-        f"longitude [deg], height, three standard deviations [m]; {'; '.join(faults[:3]) or 'there is none'}"
-    )
+def _meet(imu: FoundSensor, other: FoundSensor) -> bool:
+    """Return whether the times of two tables overlap, or those of one are unknown."""
+    spans = []
+    for one in (imu, other):
+        ours = next((name for name in one.columns if split_unit(name)[0] in ("t", "time")), None)
+        if ours is None or one.path.suffix.lower() == ".mat":
+            return True
+        t = read_columns(one.path, [one.columns[ours]], MOST_ROWS)[one.columns[ours]]
+        t = FACTORS[split_unit(ours)[1]] * t[np.isfinite(t)] + one.offset
+        if not len(t):
+            return True
+        spans.append(t)
+    first, last = float(spans[0].min()), float(spans[0].max())
+    t = spans[1] + find_week(spans[1], first, last)
+    return bool(t.min() <= last and t.max() >= first)
 
 
-def _find_fault(path: Path, imu_t: FloatArray) -> str:
-    """Return why a text does not contain the fixes for an IMU; empty if it does."""
-    try:
-        fixes = formats.read("kf-gins", path, "gnss", None)
-    except ConfigError as error:
-        return str(error)
-    first, last = fixes.t.min(), fixes.t.max()
-    if not (first <= imu_t.max() and imu_t.min() <= last):
-        return f"{path.name}: its times, {first:.9g} to {last:.9g} s, do not overlap with the IMU"
-    lat, lon, _ = np.abs(fixes.values["lla"]).T
-    sd = fixes.values["sd_pos"]
-    below = ((sd < 0) & (sd != _UNKNOWN)).any(axis=1)  # as an increment may be
-    wrong = (lat > 0.5 * np.pi) | (lon > 2 * np.pi) | below
-    if wrong.any():
-        return f"{path.name}: row {int(np.argmax(wrong)) + 1} holds no fix"
-    return ""
-
-
-def _find_sensor(path: Path, kind: str, longest: float) -> FoundSensor | None:
+def find_sensor(path: Path, kind: str, longest: float) -> FoundSensor | None:
     """Return the columns of a sensor in a table, or its structure in a MATLAB file; None if it has none.
 
     ``longest``: step of the times of the table [s].
@@ -285,14 +284,14 @@ def _find_sensor(path: Path, kind: str, longest: float) -> FoundSensor | None:
         if whole := list_sensors(path, kind):
             return FoundSensor(path, {}, (), whole[0], tuple(whole[1:]))
         dots = {name[: dot.start() + 1] for name in names for dot in re.finditer(r"\.", name)}
-        longest = _IMU_STEP if kind == "imu" else _OTHER_STEP  # a structure has times of its own
+        longest = IMU_STEP if kind == "imu" else _OTHER_STEP  # a structure has times of its own
         structures = [*sorted(dots, key=lambda prefix: (prefix.count("."), prefix)), ""]
     found: list[FoundSensor] = []
     for prefix in structures:
         if not prefix and (known := _match_program(path, names, kind, longest)) is not None:
             found.append(known)
             continue
-        ways = (_match_columns(path, names, prefix, q, longest) for q in _KINDS[kind])
+        ways = (match_columns(path, names, prefix, q, longest) for q in _KINDS[kind])
         found += [way for way in ways if way is not None][:1]
     if not found:
         return None
@@ -303,7 +302,7 @@ def _find_sensor(path: Path, kind: str, longest: float) -> FoundSensor | None:
 def _match_program(path: Path, names: Sequence[str], kind: str, longest: float) -> FoundSensor | None:
     """Return the columns of a sensor in the table of a program that is known; None if it is of no such."""
     sets = _KINDS[kind]
-    needed = [[stem for one in way if one.needed and one is not _TIME for stem in one.stems] for way in sets]
+    needed = [[stem for one in way if one.needed and one is not TIME for stem in one.stems] for way in sets]
     matched = match_exporter(names, needed)
     if matched is None:
         return None
@@ -321,9 +320,10 @@ def _match_program(path: Path, names: Sequence[str], kind: str, longest: float) 
             continue
         written, known = _split_name(name)[1], ours.removeprefix(stem)
         unit = written if _IN_BRACKETS.search(name) and written else known or written
+        unit = known if stem.startswith("accuracy") else unit  # phyphox writes degrees for meters
         if _FOREIGN.fullmatch(unit.removeprefix("_")):
             raise ConfigError(f"{path.name}: {name!r} is in a unit that no column of a log has; convert it")
-        if not unit and stem != "satellites":
+        if not unit and stem not in _COUNTS:
             unit = "_" + _guess_unit(path, stem, wanted, stems, longest)
             if stem.startswith(_TURNS):
                 guessed.append(name)
@@ -333,7 +333,8 @@ def _match_program(path: Path, names: Sequence[str], kind: str, longest: float) 
         (o.removeprefix(s) for s in stems if s.startswith(_TURNS) for o in columns if o.startswith(s)), ""
     )
     asked = (f"{', '.join(guessed)}: taken as {unit[1:]} by the values",) if guessed else ()
-    return FoundSensor(path, columns, asked, turns=turns, program=program.title, axes=program.axes)
+    found = FoundSensor(path, columns, asked, turns=turns, program=program.title, axes=program.axes)
+    return found._replace(**find_clocks(path, columns, names, program)) if kind == "imu" else found
 
 
 def _stem(ours: str, stems: Collection[str]) -> str:
@@ -345,10 +346,10 @@ def _guess_unit(
 ) -> str:
     """Return the unit of a column by its values and the values of the columns that belong to it."""
     quantities = [q for ways in _KINDS.values() for way in ways for q in way]
-    quantity = next((q for q in quantities if stem in q.stems), _TIME)
+    quantity = next((q for q in quantities if stem in q.stems), TIME)
     names = [name for ours, name in columns.items() if _stem(ours, stems) in quantity.stems]
     values = np.column_stack(list(read_columns(path, names, MOST_ROWS).values()))
-    if quantity is _TIME:
+    if quantity is TIME:
         return guess_time(values, longest)
     if stem in _MILLIMETERS:
         return guess_length(values) + ("ps" if stem != "alt" else "")
@@ -362,8 +363,8 @@ def _refuse_force(path: Path, names: Sequence[str]) -> str:
     raise ConfigError(f"{path.name}: {', '.join(names)}: {text} ...: bench guide log-format")
 
 
-def _match_columns(
-    path: Path, names: Sequence[str], prefix: str, quantities: tuple[_SensorQuantity, ...], longest: float
+def match_columns(
+    path: Path, names: Sequence[str], prefix: str, quantities: tuple[SensorQuantity, ...], longest: float
 ) -> FoundSensor | None:
     """Return the columns of a sensor among the names with a prefix; None if a required column is missing."""
     inside = [name.removeprefix(prefix) for name in names if name.startswith(prefix)]
@@ -386,7 +387,7 @@ def _match_columns(
         if "" in endings:
             whole = [f"{prefix}{name}" for name in known]
             values = np.column_stack(list(read_columns(path, whole, MOST_ROWS).values()))
-            unit = guess_time(values, longest) if quantity is _TIME else quantity.guess(values)
+            unit = guess_time(values, longest) if quantity is TIME else quantity.guess(values)
             if not unit:
                 unit = _refuse_force(path, known)
             guessed.append(f"{', '.join(known)}: taken as {unit} by the values")

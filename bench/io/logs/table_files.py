@@ -36,7 +36,7 @@ UNITS = {
     "clock": ("s", "ms", "us", "ns", "100us"),
     "angle": ("deg", "rad", "mrad", "deg_e7"),
     "length": ("m", "km", "mm"),
-    "speed": ("m/s", "mm/s"),
+    "speed": ("m/s", "mm/s", "km/h"),
     "rate": ("rad/s", "deg/s", "deg/h"),
     "acceleration": ("m/s^2", "g", "mg"),
     "pressure": ("Pa", "hPa"),

@@ -20,7 +20,8 @@ from bench.evaluation.errors import used_fixes
 from bench.io.config.log import SourceSpec, load_log
 from bench.io.logs import log_start, own_estimate
 from bench.io.logs.log_contents import tell_innovations, turn_quaternion
-from bench.io.logs.log_records import find_ground, read_records, set_altimeter
+from bench.io.logs.log_heights import find_ground, set_altimeter
+from bench.io.logs.log_records import read_records
 from bench.io.logs.log_start import choose_stretch, find_magnetic_heading, find_start
 from bench.navigation.error_state_filter.rough_heading import UNKNOWN_HEADING_SD
 from bench.navigation.start.alignment import UNKNOWN_SPEED_SD

@@ -1,0 +1,1 @@
+"""Sensors in texts and folders of tables."""
