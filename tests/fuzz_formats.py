@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
@@ -17,6 +18,7 @@ from bench.plugins.receiver.rinex.precise_orbits import make_tables, read_precis
 from bench.plugins.receiver.ubx import read_ubx
 from bench.simulation.signals.terrain import describe_terrain
 from tests.data import stored_gnss_file
+from tests.plugins.autopilots.telemetry_writer import write_telemetry
 from tests.plugins.receiver.packed import compress
 
 TRACKS = Path(__file__).parent / "exchange" / "tracks"
@@ -99,6 +101,11 @@ def _cut_flash() -> bytes:
     return (FLIGHTS / "copter.bin").read_bytes()[:50_000]
 
 
+def _write_telemetry() -> bytes:
+    with tempfile.TemporaryDirectory() as folder:
+        return write_telemetry(Path(folder) / "a.tlog", count=60).read_bytes()
+
+
 READERS: dict[str, Format] = {
     "track-igc": Format("a.igc", lambda: _cut(TRACKS / "glider.igc", 60), read_track, True),
     "track-gpx": Format("a.gpx", _make_gpx, read_track, True),
@@ -114,6 +121,7 @@ READERS: dict[str, Format] = {
     "ubx": Format("a.ubx", _cut_ubx, read_ubx, False),
     "sp3": Format("a.sp3", _cut_sp3, _read_orbits, True),
     "dataflash": Format("a.bin", _cut_flash, _read_flight("dataflash"), False),
+    "tlog": Format("a.tlog", _write_telemetry, _read_flight("tlog"), False),
     "px4log": Format(
         "a.px4log", lambda: (FLIGHTS / "quad.px4log").read_bytes()[:50_000], _read_flight("dataflash"), False
     ),

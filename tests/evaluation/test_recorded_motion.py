@@ -173,3 +173,9 @@ def test_the_larger_noise_is_assumed_and_told_by_triad(times, said):
     kept, line = assume_motion_noise(IMU, white(10.0, 50.0), [])
     assert kept is IMU
     assert "less than 40 s of whole motion" in line.text
+
+
+def test_one_fix_without_velocity_shows_no_motion():
+    one = moving(np.full((1, 3), np.nan), np.zeros(1), np.array([[0.7, 0.3, 50.0]]))
+    assert [len(part) for part in one.take_velocities()] == [0, 0, 0]
+    assert not one.moves

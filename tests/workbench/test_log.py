@@ -636,7 +636,7 @@ def test_mat_files_that_pickle_bomb_or_are_of_another_kind_are_refused(folder, t
         (('file = "imu.csv"', 'file = "drive.toml"\nformat = "table"'), "a table ends in"),
         (
             ('file = "imu.csv"', 'file = "imu.csv"\ntopic = "a"'),
-            "topic is for dataflash, ulog, rosbag, mcap",
+            "topic is for dataflash, ",
         ),
         (('file = "imu.csv"', 'file = "none.csv"'), "no such file"),
         (('file = "imu.csv"', 'file = "imu.csv"\ncolumns = { gyro_x_rad_s = "wx" }'), "no column 'wx'"),

@@ -112,7 +112,7 @@ class RecordedMotion:
         good = np.asarray(np.isfinite(self.vel_n).all(axis=1))
         if 2 * good.sum() >= len(good):
             return self.fix_t[good] + self.velocity_shift, self.lla[good], self.vel_n[good]
-        usual = float(np.median(np.diff(self.fix_t)))
+        usual = float(np.median(np.diff(self.fix_t))) if len(self.fix_t) > 1 else 0.0
         near = np.flatnonzero(np.diff(self.fix_t) < 2.5 * usual)
         step = np.diff(to_ecef(self.lla), axis=0)[near] / np.diff(self.fix_t)[near, None]
         lla = self.lla[near]

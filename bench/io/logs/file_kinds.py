@@ -87,9 +87,7 @@ KINDS: Sequence[tuple[FileKind, Callable[[bytes], bool]]] = (
         lambda head: head[8:12] == b".FIT",
     ),
     (
-        FileKind(
-            "a MAVLink telemetry log (.tlog)", "use the log on the autopilot itself: DataFlash .bin or .ulg"
-        ),
+        FileKind("a MAVLink telemetry log", "name it FILE.tlog, then: bench new log FILE.tlog"),
         lambda head: _is_frame(head, b"\xfe\xfd"),
     ),
     (
