@@ -14,11 +14,13 @@ One of a plug-in of bench says in ``FORMAT`` what its row here is, so that it is
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
 from bench.core.files.installed import Installed, find_installed, find_own, import_installed, read_constant
 from bench.core.words.exceptions import ConfigError
+from bench.io.logs.file_kinds import GNSSLOGGER, is_kind
 
 
 class LogFormat(NamedTuple):
@@ -43,6 +45,7 @@ FORMATS: Mapping[str, LogFormat] = {
     "mcap": LogFormat("bench.io.logs.formats.bags", (".mcap",), topics=True, package="mcap"),
     "navego": LogFormat("bench.io.logs.formats.navego_structures", topics=True),
     "kf-gins": LogFormat("bench.io.logs.formats.text"),
+    "gnsslogger": LogFormat("bench.io.logs.formats.gnsslogger", recognizes=partial(is_kind, GNSSLOGGER)),
     "rtklib": LogFormat("bench.io.logs.formats.text", (".pos",)),
 }
 """Name of a format of bench -> the format; a table is a CSV, Parquet or MATLAB file."""
@@ -88,6 +91,9 @@ def guess_format(path: Path) -> str | None:
     """
     ending = path.suffix.lower()
     if own := next((name for name, one in FORMATS.items() if ending in one.endings), None):
+        return own
+    known = (name for name, one in FORMATS.items() if one.recognizes and one.recognizes(path))
+    if own := next(known, None):
         return own
     added = {name: _ask(one) for name, one in find_installed("logs", FORMATS).items()}
     named = (name for name, one in added.items() if ending in one.endings)

@@ -10,8 +10,8 @@ from numpy.testing import assert_allclose
 
 from bench.cli.command_line import main
 from bench.io.config.log import load_log
+from bench.io.logs.formats.joined_triads import join_triads
 from bench.io.logs.log_records import read_records
-from bench.io.logs.split_imu import join_triads
 from tests.workbench.test_exporters import EPOCH, G, axes, drive, hold, where, write
 
 FLU = np.array([1.0, -1.0, -1.0])

@@ -91,6 +91,8 @@ def new_log(name: str, *, console: Console, rates: str | None = None) -> None:
         return
     if is_bag(path) or path.suffix.lower() in _BAGS:
         found = {kind: FoundSensor(path, {}, ()) for kind in ("imu", "gnss")}
+    elif form is not None and form in FORMATS and FORMATS[form].recognizes is not None:
+        found = {kind: FoundSensor(path, {}, (), form=form) for kind in ("imu", "gnss")}
     elif path.suffix.lower() == TEXT and not has_names(path):
         found = find_texts(path)
     else:

@@ -21,6 +21,7 @@ _TO_RINEX = "convert it to RINEX, for example by convbin of RTKLIB, then: bench 
 _UNPACK = "unpack it first"
 
 
+GNSSLOGGER = "an Android GnssLogger file"
 UBX, RINEX, NMEA = "a u-blox UBX recording", "a RINEX file", "a file of NMEA 0183 sentences"
 """Names of the kinds that bench reads somewhere."""
 
@@ -112,10 +113,7 @@ KINDS: Sequence[tuple[FileKind, Callable[[bytes], bool]]] = (
         _matches(rb"(?m)^[#%](?:RAWIMU|IMU|INS|BEST|RANGE|CORRIMU)\w*A,"),
     ),
     (
-        FileKind(
-            "an Android GnssLogger file",
-            "its raw measurements need RINEX; convert it, for example by android_rinex",
-        ),
+        FileKind(GNSSLOGGER, "bench new log FILE"),
         _matches(rb"(?m)^#\s*Raw,(?:ElapsedRealtimeMillis|utcTimeMillis)"),
     ),
     (FileKind(RINEX, "bench fixes OBS NAV computes its fixes"), _matches(rb"\A.{60}RINEX VERSION / TYPE")),
@@ -156,3 +154,13 @@ def describe_unreadable(path: Path, otherwise: str = "") -> str:
     if kind is None:
         return f"{path.name}: {otherwise}" if otherwise else ""
     return f"{path.name}: is {kind.name}; {kind.advice}"
+
+
+def is_kind(name: str, path: Path) -> bool:
+    """Return whether a file is of a kind, by its first bytes."""
+    try:
+        with path.open("rb") as file:
+            kind = recognize(file.read(HEAD))
+    except OSError:
+        return False
+    return kind is not None and kind.name == name

@@ -189,11 +189,11 @@ def _to_vel_n(vel: FloatArray, stems: tuple[str, ...], lla: FloatArray) -> Float
     if stems[0] == "ecef_vel_x":
         return np.asarray(np.einsum("kji,kj->ki", matrix_en(lla[:, 0], lla[:, 1]), vel))
     if stems[0] == "speed":
-        return _to_horizontal(*vel.T)
+        return to_horizontal(*vel.T)
     return vel * [1.0, 1.0, -1.0] if stems[2] == "vel_u" else vel
 
 
-def _to_horizontal(speed: FloatArray, course: FloatArray) -> FloatArray:
+def to_horizontal(speed: FloatArray, course: FloatArray) -> FloatArray:
     """Return velocities (N, 3) whose component down is NaN; phones write -1 for unknown."""
     known = (speed > 0) & (course >= 0)
     still = speed == 0
@@ -203,16 +203,19 @@ def _to_horizontal(speed: FloatArray, course: FloatArray) -> FloatArray:
     return np.column_stack([north, east, np.full(len(speed), np.nan)])
 
 
-def _spread(values: FloatArray, stems: tuple[str, ...]) -> FloatArray:
-    """Return standard deviations along north, east, down; an axis is NaN if the file has none for it.
+def spread_accuracy(accuracy: FloatArray) -> FloatArray:
+    """Return standard deviations along north, east, down of accuracies (N, 1 or 2), horizontal and vertical.
 
-    A horizontal accuracy is the root sum square of north and east.
+    A horizontal accuracy is the root sum square of north and east; the vertical one is NaN if there is none.
     """
-    if not stems[0].startswith("accuracy"):
-        return values
-    down = values[:, 1] if len(stems) > 1 else np.full(len(values), np.nan)
-    h = values[:, 0] / (np.sqrt(2.0) if stems[0] == "accuracy_h" else 1.0)
-    return np.column_stack([h, h, down])
+    h = accuracy[:, 0] / np.sqrt(2.0)
+    return np.column_stack([h, h, accuracy[:, 1] if accuracy.shape[1] > 1 else np.full(len(h), np.nan)])
+
+
+def _spread(values: FloatArray, stems: tuple[str, ...]) -> FloatArray:
+    if stems[0] == "accuracy_speed":
+        return np.column_stack([values[:, 0], values[:, 0], np.full(len(values), np.nan)])
+    return spread_accuracy(values) if stems[0] == "accuracy_h" else values
 
 
 def to_lla(pos_e: FloatArray) -> FloatArray:
