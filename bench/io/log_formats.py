@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 from bench.core.files.installed import Installed, find_installed, find_own, import_installed, read_constant
 from bench.core.words.exceptions import ConfigError
-from bench.io.logs.file_kinds import GNSSLOGGER, is_kind
+from bench.io.logs.file_kinds import GNSSLOGGER, NOVATEL, is_kind
 
 
 class LogFormat(NamedTuple):
@@ -45,6 +45,7 @@ FORMATS: Mapping[str, LogFormat] = {
     "mcap": LogFormat("bench.io.logs.formats.bags", (".mcap",), topics=True, package="mcap"),
     "navego": LogFormat("bench.io.logs.formats.navego_structures", topics=True),
     "kf-gins": LogFormat("bench.io.logs.formats.text"),
+    "novatel": LogFormat("bench.io.logs.formats.novatel", topics=True, recognizes=partial(is_kind, NOVATEL)),
     "gnsslogger": LogFormat("bench.io.logs.formats.gnsslogger", recognizes=partial(is_kind, GNSSLOGGER)),
     "rtklib": LogFormat("bench.io.logs.formats.text", (".pos",)),
 }

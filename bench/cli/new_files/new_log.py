@@ -92,7 +92,8 @@ def new_log(name: str, *, console: Console, rates: str | None = None) -> None:
     if is_bag(path) or path.suffix.lower() in _BAGS:
         found = {kind: FoundSensor(path, {}, ()) for kind in ("imu", "gnss")}
     elif form is not None and form in FORMATS and FORMATS[form].recognizes is not None:
-        found = {kind: FoundSensor(path, {}, (), form=form) for kind in ("imu", "gnss")}
+        asked = tuple(note for note in formats.read(form, path, "imu", None).notes if "topic = " in note)
+        found = {"imu": FoundSensor(path, {}, asked, form=form), "gnss": FoundSensor(path, {}, (), form=form)}
     elif path.suffix.lower() == TEXT and not has_names(path):
         found = find_texts(path)
     else:

@@ -21,7 +21,7 @@ _TO_RINEX = "convert it to RINEX, for example by convbin of RTKLIB, then: bench 
 _UNPACK = "unpack it first"
 
 
-GNSSLOGGER = "an Android GnssLogger file"
+NOVATEL, GNSSLOGGER = "a NovAtel ASCII log", "an Android GnssLogger file"
 UBX, RINEX, NMEA = "a u-blox UBX recording", "a RINEX file", "a file of NMEA 0183 sentences"
 """Names of the kinds that bench reads somewhere."""
 
@@ -106,10 +106,7 @@ KINDS: Sequence[tuple[FileKind, Callable[[bytes], bool]]] = (
         _begins(b"\xaa\x44\x12", b"\xaa\x44\x13", b"\xaa\x44\xb5"),
     ),
     (
-        FileKind(
-            "a NovAtel ASCII log",
-            "convert RAWIMU and BESTPOS or INSPVA to two tables with t_s, for example by NovAtel Convert",
-        ),
+        FileKind(NOVATEL, "bench new log FILE"),
         _matches(rb"(?m)^[#%](?:RAWIMU|IMU|INS|BEST|RANGE|CORRIMU)\w*A,"),
     ),
     (

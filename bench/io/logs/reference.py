@@ -102,7 +102,7 @@ def _read_rows(spec: ReferenceSpec) -> tuple[LogRows, FloatArray, FloatArray | N
         return _read_truth(source)
     if source.format != "table":
         rows = formats.read(source.format, source.path, "gnss", source.topic)
-        return rows, np.full((len(rows.t), 4), np.nan), None
+        return rows, rows.values.get("q_nb", np.full((len(rows.t), 4), np.nan)), None
     optional = (*OPTIONAL, "attitude", "attitude sd")
     table = read_table(source.path, _TABLE, optional, MOST_ROWS, source.columns, structure=source.topic)
     rows = LogRows.from_table(table, shown)

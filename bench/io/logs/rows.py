@@ -150,8 +150,9 @@ class LogRows:
     ``values`` of an IMU: ``gyro`` [rad/s] and ``accel`` [m/s^2] or ``dtheta`` [rad] and ``dvel`` [m/s], (N,
     3). Of a receiver: ``lla`` (N, 3) and, if the file has them, ``vel_n``, ``sd_pos``, ``sd_vel`` (N, 3),
     ``cov_pos``, ``cov_vel`` (N, 9), ``dilution`` (N, 1 or 2), ``quality``, ``signal`` [dB-Hz] and
-    ``satellites`` (N,). Of an instrument: the column of its record, as (N, k), and ``sd`` (N,) if the file
-    says it. Of any: ``interval`` [s], ``arrival`` on the clock of the file [s], ``valid`` (N,).
+    ``satellites`` (N,). Of a solution: also ``q_nb`` (N, 4). Of an instrument: the column of its record, as
+    (N, k), and ``sd`` (N,) if the file says it. Of any: ``interval`` [s], ``arrival`` on the clock of the
+    file [s], ``valid`` (N,).
     """
 
     t: FloatArray  # (N,) on the clock of the file [s]
