@@ -232,3 +232,13 @@ def test_fixes_frozen_in_motion_are_no_news(tmp_path, capsys):
     found = read_records(load_log(str(tmp_path / f"{tmp_path.name}.toml")))
     assert len(found.fixes) == len(gnss["t"]) - stuck.sum()
     assert [note for note in found.notes if "repeat the one before in motion and are left out" in note]
+
+
+def test_a_table_without_names_is_a_line_that_says_so(tmp_path, capsys):
+    """As the replay of PX4-ECL has it: time, name of the sensor, values."""
+    rows = [f"{4000 * k},imu,-0.19,0.16,-9.93,0.0006,-0.005,-0.00003" for k in range(1, 50)]
+    (tmp_path / "replay.csv").write_text("\n".join(rows))
+    assert main(["new", "log", str(tmp_path / "replay.csv")]) == 2
+    assert (
+        "replay.csv: no line of column names; its first line is 4000, imu, -0.19" in capsys.readouterr().err
+    )

@@ -18,7 +18,7 @@ from bench.io.logs.finding.program_clocks import find_clocks
 from bench.io.logs.formats.navego_structures import list_sensors
 from bench.io.logs.record_clock import find_week
 from bench.io.logs.rows import BARO, GNSS, IMU, MOST_ROWS
-from bench.io.logs.table_files import list_columns, read_columns
+from bench.io.logs.table_files import is_number, list_columns, read_columns
 
 TABLES = (".csv", ".parquet", ".mat")
 TEXT = ".txt"
@@ -241,7 +241,13 @@ def find_beside(imu: FoundSensor | None, path: Path, beside: Sequence[Path]) -> 
     if missing := [kind for kind in ("imu", "gnss") if kind not in found]:
         if message := describe_unreadable(path):
             raise ConfigError(message)
-        there = ", ".join(list_columns(path)[:30])[:300]
+        names = list_columns(path)
+        there = ", ".join(names[:30])[:300]
+        if 2 * sum(map(is_number, names)) > len(names):
+            raise ConfigError(
+                f"{path.name}: no line of column names; its first line is {there}. Write one, such as "
+                "t_s,gyro_x_rad_s,...: bench guide log-format"
+            )
         where = ""
         if missing[0] == "gnss":
             named = ", ".join(place.name for place in beside[:10])

@@ -252,7 +252,7 @@ def _read_header(path: Path) -> _TableHeader:
 
 def _count_numbers(cells: Sequence[str]) -> float:
     """Return the part of cells that are numbers."""
-    return sum(map(_is_number, cells)) / max(len(cells), 1)
+    return sum(map(is_number, cells)) / max(len(cells), 1)
 
 
 def _find_separator(line: str) -> str:
@@ -311,12 +311,13 @@ def _find_bad_row(path: Path, wanted: Sequence[str]) -> str:
             if len(cells) != len(names):
                 return f"row {row}: {len(cells)} columns, the header has {len(names)}"
             for name, cell in zip(names, cells, strict=True):
-                if name in wanted and cell not in empty and not _is_number(cell):
+                if name in wanted and cell not in empty and not is_number(cell):
                     return f"row {row}: {name} = {cell[:40]!r} is not a number"
     return ""
 
 
-def _is_number(cell: str) -> bool:
+def is_number(cell: str) -> bool:
+    """Return whether a cell of a text table is a number."""
     try:
         float(cell or "nan")
     except ValueError:

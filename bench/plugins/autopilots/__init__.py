@@ -1,1 +1,1 @@
-"""Logs of PX4 and ArduPilot, their own estimate, and a log for the replay of PX4."""
+"""Logs of PX4, ArduPilot and MAVLink, their own estimate, and a log for the replay of PX4."""
