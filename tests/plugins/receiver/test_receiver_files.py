@@ -344,6 +344,33 @@ def test_a_satellite_without_an_accuracy_is_not_used(tmp_path):
     assert sum(one.healthy.sum() for one in silent.galileo) == 0
 
 
+@pytest.mark.parametrize(
+    ("source", "delays", "taken"),
+    [
+        (517, (2e-9, 3e-9), None),
+        (3, (2e-9, 0.0), "F/NAV"),
+        (3, (2e-9, 3e-9), "I/NAV"),
+        (3, (0.0, 0.0), "I/NAV"),
+        (3 + 256, (2e-9, 3e-9), "F/NAV"),
+        (3 + 512, (2e-9, 0.0), "I/NAV"),
+    ],
+)
+def test_a_galileo_record_of_both_messages_is_that_of_its_clock(tmp_path, source, delays, taken):
+    """As the simulator Skydel writes it; bits 8 and 9 say the clock's carriers, else its only group delay."""
+
+    def edit(record):
+        lines = record.splitlines()
+        lines[5] = lines[5][:23] + f"{source:19.12e}" + lines[5][42:]
+        lines[6] = lines[6][:42] + "".join(f"{one:19.12e}" for one in delays)
+        return "\n".join(lines) + "\n"
+
+    nav = take_record(tmp_path, "E01", edit)
+    assert nav.lost == 0
+    assert {one.message: len(one) for one in nav.galileo}[taken or "I/NAV"] == 1
+    said = (f"file.rnx: 1 records of Galileo name I/NAV and F/NAV at once: taken as {taken}",)
+    assert nav.notes == (said if taken else ())
+
+
 def test_times_of_beidou_are_14_s_behind(tmp_path):
     beidou = take_record(tmp_path, "C05", lambda text: text).beidou
     expected = gps_seconds(2020, 6, 24, 22 * 3600.0) + 14.0

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 from array import array
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -61,6 +62,7 @@ _KINDS = {
 _LEAST_INCLINATION = 0.6  # of satellites that are not geostationary [rad]; in semicircles all are below it
 _SEMICIRCLES = "; its angles may be in semicircles"
 _INAV, _FNAV = 0b101, 0b010  # bits of the data source of Galileo, RINEX 3.05, table A8
+_CLOCKS = {0b01: "F/NAV", 0b10: "I/NAV"}  # bits 8 and 9 of the same: whose pair of carriers the clock is of
 _SICK = {"I/NAV": 0b000000111, "F/NAV": 0b000111000}  # bits of its health of E1 and of E5a, the same
 
 
@@ -78,7 +80,7 @@ class NavigationFile:
     beidou: KeplerSets | None = None
     level: FloatArray | None = None  # (3,) a_i0, a_i1, a_i2 of Galileo
     precise: tuple[OrbitTable, ...] = ()  # of SP3 files beside it
-    notes: tuple[str, ...] = ()  # what these do not give
+    notes: tuple[str, ...] = ()  # what is not given, or read with a doubt
 
     def list_sets(self) -> dict[int, list[KeplerSets | GlonassSets]]:
         """Return the broadcast orbits of each system."""
@@ -104,6 +106,7 @@ class _Found:
     level: list[float] | None = None
     leap: int | None = None
     semicircles: int = 0  # records of BeiDou with angles in semicircles
+    both: Counter[str] = field(default_factory=Counter)  # Galileo's that name two messages, by the one taken
 
     def make_kepler(self, letter: str, message: str = "") -> KeplerSets:
         rows = np.array(self.kepler.get(letter + message, ()), float).reshape(-1, 2 + len(KEPLER))
@@ -151,7 +154,11 @@ def read_navigation(path: Path, shown: str | None = None) -> NavigationFile:
         lines.report(ConfigError(text))
     if not found.kepler and not found.glonass:
         raise lines.describe_nothing("ephemeris of GPS, GLONASS, Galileo or BeiDou")
-    return replace(_make_file(found), shown=shown, lost=lines.lost, reasons=tuple(lines.reasons))
+    notes = tuple(
+        f"{shown}: {count} records of Galileo name I/NAV and F/NAV at once: taken as {message}"
+        for message, count in found.both.items()
+    )
+    return replace(_make_file(found), shown=shown, lost=lines.lost, reasons=tuple(lines.reasons), notes=notes)
 
 
 def _make_file(found: _Found) -> NavigationFile:
@@ -223,19 +230,27 @@ def _take_record(lines: Lines, line: str, version: int, letter: str, found: _Fou
         return
     message = ""
     if letter == "E":
-        source = record.values[5][1]
-        bits = 0 if np.isnan(source) else int(source)
-        if bits & _INAV and bits & _FNAV:
-            raise lines.error(f"the data source {bits} is of I/NAV and of F/NAV", record.first + 5)
-        message = "I/NAV" if bits & _INAV else "F/NAV" if bits & _FNAV else ""
-        if not message:
-            raise lines.error(f"the data source {bits} is neither of I/NAV nor of F/NAV", record.first + 5)
+        message = _find_message(lines, record, found)
     try:
         row = _convert_kepler(lines, record, _KINDS[letter], message)
     except ConfigError as error:
         found.semicircles += _SEMICIRCLES in error.messages[0]
         raise
     found.kepler.setdefault(letter + message, array("d")).extend(row)
+
+
+def _find_message(lines: Lines, record: _EphemerisRecord, found: _Found) -> str:
+    """Return the message of a record of Galileo; of both, the one of its clock or of its only group delay."""
+    source = record.values[5][1]
+    bits = 0 if np.isnan(source) else int(source)
+    if not bits & (_INAV | _FNAV):
+        raise lines.error(f"the data source {bits} is neither of I/NAV nor of F/NAV", record.first + 5)
+    if not (bits & _INAV and bits & _FNAV):
+        return "I/NAV" if bits & _INAV else "F/NAV"
+    of_e5a, of_e5b = (abs(np.nan_to_num(value)) > 0 for value in record.values[6][2:])
+    message = _CLOCKS.get(bits >> 8 & 3, "F/NAV" if of_e5a and not of_e5b else "I/NAV")
+    found.both[message] += 1
+    return message
 
 
 @dataclass(frozen=True, slots=True)
@@ -394,4 +409,5 @@ def merge_navigation(files: Sequence[NavigationFile]) -> NavigationFile:
         galileo=tuple(join(sets) for sets in zip(*(file.galileo for file in files), strict=True)),
         beidou=join([file.beidou for file in files if file.beidou is not None]),
         level=next((f.level for f in files if f.level is not None), None),
+        notes=tuple(note for file in files for note in file.notes),
     )

@@ -232,8 +232,9 @@ def read_orbits(paths: Sequence[Path]) -> NavigationFile:
     files = [read_precise_orbits(path, str(path)) for path in paths if kinds[path] == "sp3"]
     if wrong and not broadcast and not files:
         raise wrong[0]
-    notes = [f"left out: {error}" for error in wrong]
-    nav = replace(merge_navigation(broadcast), notes=tuple(notes))
+    nav = merge_navigation(broadcast)
+    notes = [*(f"left out: {error}" for error in wrong), *nav.notes]
+    nav = replace(nav, notes=tuple(notes))
     if not files:
         return nav
     tables = make_tables(files)
