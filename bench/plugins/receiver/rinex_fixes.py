@@ -22,6 +22,7 @@ from bench.core.words.exceptions import ConfigError
 from bench.evaluation.consistency.nees_band import find_band
 from bench.plugins.receiver import lost_epochs
 from bench.plugins.receiver.fix_truth import Truth
+from bench.plugins.receiver.ionosphere_choice import choose_ionosphere
 from bench.plugins.receiver.rinex.ephemerides import NavigationFile
 from bench.plugins.receiver.rinex.lines import find_kind
 from bench.plugins.receiver.rinex.observations import ObservationFile, read_observations
@@ -315,7 +316,7 @@ def solve_files(
     """
     raw = merge_observations([_read(path, window > 0) for path in observations])
     nav = read_orbits(navigation)
-    processing, notes = _choose_ionosphere(raw, nav, processing)
+    processing, notes = choose_ionosphere(raw, nav, processing)
     pseudorange, noise = raw.pseudorange, None
     if window > 0:
         pseudorange, noise = _smooth(raw, nav, window)
@@ -384,30 +385,11 @@ def _smooth(raw: ObservationFile, nav: NavigationFile, window: float) -> tuple[F
     return ranges, noise
 
 
-def _choose_ionosphere(
-    raw: ObservationFile, nav: NavigationFile, processing: Processing
-) -> tuple[Processing, list[str]]:
-    """Return the processing with the inputs of the ionosphere model, and messages for the user."""
-    when = _EPOCH + timedelta(seconds=raw.origin + float(raw.t[0]))
-    level = None if nav.level is None else (float(nav.level[0]), float(nav.level[1]), float(nav.level[2]))
-    processing = replace(processing, level=level, day=float(when.timetuple().tm_yday))
-    if "ionosphere" in processing.without or processing.ionosphere in ("free", "none"):
-        return processing, []
-    others = "use --ionosphere free or none"
-    if processing.ionosphere == "ntcm-g" and level is None:
-        raise ConfigError(f"{nav.shown}: gives no ionosphere parameters of Galileo; {others}")
-    if processing.ionosphere == "klobuchar" and nav.klobuchar is None:
-        if level is None:
-            raise ConfigError(f"{nav.shown}: gives no ionosphere parameters; {others}")
-        note = f"{nav.shown}: has the ionosphere parameters of Galileo only: --ionosphere ntcm-g is used"
-        return replace(processing, ionosphere="ntcm-g"), [note]
-    return processing, []
-
-
 def _describe_lost(file: ObservationFile | NavigationFile, part: str) -> list[str]:
     """Return a line for each of the first parts left out of a file, and a line that counts the rest."""
     lines = [f"{part} left out: {reason}" for reason in file.reasons[:_MOST_LINES]]
-    more = file.lost - len(lines)
+    each = len(file.reasons) >= min(file.lost, _MOST_LINES)  # else the lines have counts in them
+    more = file.lost - len(lines) if each else 0
     return [*lines, f"{part} left out: {more} more"] if more else lines
 
 

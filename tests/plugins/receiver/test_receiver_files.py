@@ -425,6 +425,44 @@ def test_a_navigation_file_without_a_readable_record_costs_only_itself(tmp_path)
         bench.solve_rinex(site, galileo)
 
 
+def strip_ionosphere(tmp_path, keep=()):
+    """Return the navigation file of ESBC with the named lines of ionosphere parameters alone."""
+    path = tmp_path / "brdc.rnx"
+    lines = gzip.decompress(stored_gnss_file(ESBC[1]).read_bytes()).decode().splitlines(keepends=True)
+    path.write_text("".join(line for line in lines if "IONOSPHERIC CORR" not in line or line[:4] in keep))
+    return path
+
+
+def test_without_ionosphere_parameters_two_carriers_are_used(tmp_path):
+    nav = strip_ionosphere(tmp_path)
+    found = bench.solve_rinex(stored_gnss_file(ESBC[0]), nav, systems="gps,galileo")
+    assert any("has no ionosphere parameters: --ionosphere free, the" in note for note in found.notes)
+    free = solved(ESBC, systems="gps,galileo", ionosphere="free")
+    assert_allclose(found.fixes.lla, free.fixes.lla)
+    assert solved(ESBC, ionosphere="ntcm-g").notes == solved(ESBC).notes
+    other = bench.solve_rinex(stored_gnss_file(ESBC[0]), strip_ionosphere(tmp_path, ("GPSA", "GPSB")),
+                              ionosphere="ntcm-g")  # fmt: skip
+    assert any("of GPS only: --ionosphere klobuchar is used" in note for note in other.notes)
+
+
+def test_without_ionosphere_parameters_and_on_one_carrier_the_sigma_is_larger(tmp_path):
+    """The errors grow by the delay, and the covariances say so."""
+    text = gzip.decompress(stored_gnss_file(SEPT[0]).read_bytes()).decode()
+    one, nav = tmp_path / "one.rnx", tmp_path / "brdc.rnx"
+    one.write_text(re.sub(r"(?m)^([GE]\d\d.{32}).*$", r"\1", text))
+    lines = gzip.decompress(stored_gnss_file(SEPT[1]).read_bytes()).decode().splitlines(keepends=True)
+    nav.write_text("".join(line for line in lines if "IONOSPHERIC CORR" not in line))
+    found = bench.solve_rinex(one, nav, truth=SURVEYED)
+    (note,) = (note for note in found.notes if "ionosphere" in note)
+    assert note.endswith(
+        "brdc.rnx: has no ionosphere parameters: --ionosphere none is used, and the reported sigma has 3 m "
+        "of vertical delay instead; a navigation file with them makes it smaller"
+    )
+    known = bench.solve_rinex(one, stored_gnss_file(SEPT[1]), truth=SURVEYED)
+    assert (found.fixes.cov_pos_n[:, 2, 2] > 2 * known.fixes.cov_pos_n[:, 2, 2]).all()
+    assert found.figures()["nees_3"] < 2
+
+
 def test_a_reference_that_is_uncertain_counts_beside_the_covariances(capsys):
     """By hand, along the axes of each covariance; of a reference far worse than the fixes it is all."""
     known = solved(SEPT, truth=SURVEYED)

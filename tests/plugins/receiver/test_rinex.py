@@ -293,11 +293,6 @@ def test_bench_fixes(tmp_path, capsys):
     assert said.strip().count("\n") == 0
 
 
-def test_no_ionosphere_in_the_navigation_file_is_said():
-    with pytest.raises(ConfigError, match="gives no ionosphere parameters"):
-        bench.solve_rinex(gnss_file(ESBC[0]), gnss_file("brdc3050.12g"))
-
-
 @pytest.mark.parametrize(
     ("option", "words"),
     [
