@@ -1,4 +1,4 @@
-"""Why a receiver has no fix: the first condition that leaves too few satellites of an epoch.
+"""Why an epoch has no fix: the first condition that leaves too few satellites, or a fix that cannot be true.
 
 Also which systems have orbits of other times only, or none.
 """
@@ -14,6 +14,7 @@ import numpy as np
 from bench.core.mathematics.arrays import BoolArray, FloatArray, IntArray
 from bench.core.records.data import GnssObservations
 from bench.core.records.orbit_sets import LETTERS, SYSTEM_NAMES, parse_systems
+from bench.plugins.receiver import implausible_fixes
 from bench.plugins.receiver.rinex.ephemerides import NavigationFile
 from bench.plugins.receiver.rinex.observations import ObservationFile
 from bench.simulation.signals import orbit_tables, orbits, receiver_solution
@@ -42,6 +43,20 @@ def explain(
             "the ranges do not agree with one position, and too few of them agree to show which are wrong"
         )
     return reasons, found
+
+
+def reject_implausible(
+    solution: ReceiverSolution, reasons: list[str], reason: IntArray
+) -> tuple[ReceiverSolution, list[str], IntArray]:
+    """Return the solution with fixes that cannot be true as not valid, and the reasons with theirs."""
+    words, which = implausible_fixes.find_implausible(solution)
+    reasons, reason = [*reasons], reason.copy()
+    for k, one in enumerate(words):
+        if (which == k).any():
+            reason[which == k] = len(reasons)
+            reasons.append(one)
+    fixes = replace(solution.fixes, valid=solution.fixes.valid & (which < 0))
+    return solution._replace(fixes=fixes), reasons, reason
 
 
 def _are_few(seen: GnssObservations, rows: BoolArray) -> BoolArray:

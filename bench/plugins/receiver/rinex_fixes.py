@@ -20,7 +20,7 @@ from bench.core.records.orbit_sets import GLONASS, SYSTEM_NAMES, name_satellite
 from bench.core.records.run_records import SkyView
 from bench.core.words.exceptions import ConfigError
 from bench.evaluation.consistency.nees_band import find_band
-from bench.plugins.receiver import lost_epochs
+from bench.plugins.receiver import implausible_fixes, lost_epochs, unfit_systems
 from bench.plugins.receiver.fix_truth import Truth
 from bench.plugins.receiver.ionosphere_choice import choose_ionosphere
 from bench.plugins.receiver.rinex.ephemerides import NavigationFile
@@ -346,8 +346,13 @@ def solve_files(
         )
         raise ConfigError("; ".join([text, *unserved, *nav.reasons[:_MOST_LINES]]))
     solution = receiver_solution.solve_fixes(seen, processing)
+    if unfit := unfit_systems.find_unfit(seen, solution, processing):
+        seen, processing = unfit_systems.leave_out(seen, processing, unfit)
+        solution = receiver_solution.solve_fixes(seen, processing)
+        notes += [one.describe(len(raw.t)) for one in unfit]
     dop = dilution.compute_dop(seen.epoch_start, solution.los_n, seen.system, solution.used)
     reasons, reason = lost_epochs.explain(seen, solution, processing)
+    solution, reasons, reason = lost_epochs.reject_implausible(solution, reasons, reason)
     solved = RinexFixes(raw, seen, solution, dop, tuple(reasons), reason, truth)
     notes += [*_describe_lost(raw, "epoch"), *_describe_lost(nav, "ephemeris"), *nav.notes, *unserved]
     notes += lost_epochs.describe_lacking(raw, nav, processing, seen.sat_clock)
@@ -357,6 +362,8 @@ def solve_files(
         notes.append(f"not used: {', '.join(raw.others)}")
     notes += _describe_unsolved(solved)
     fixes = solved.fixes.valid
+    if fixes.any() and not (implausible_fixes.count_spare(solution)[fixes] > 0).any():
+        notes.append("no fix has a satellite to spare: nothing tests them, and one wrong range moves them")
     if truth is not None and (covered := int(np.isfinite(solved.errors()[fixes, 0]).sum())) < fixes.sum():
         notes.append(f"the truth covers {covered} of {fixes.sum()} fixes: the others are not evaluated")
     return replace(solved, notes=tuple(notes))

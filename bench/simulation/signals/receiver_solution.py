@@ -336,14 +336,14 @@ def solve_fixes(
         use, delayed = wanted, ranges
         if near is not None:
             use = wanted & (near.el > processing.mask)
-            delayed = _subtract_delays(ranges, near, processing)
+            delayed = subtract_delays(ranges, near, processing)
         rough = least_squares.solve_positions(
             start, o.sat_pos_e, delayed, o.sd_pseudorange, system,
             use=use, start_e=rough, close=_ROUGH, one_clock=one_clock, sagnac=sagnac, rough=True,
         ).pos_e  # fmt: skip
         near = look_around(o, rough, processing)
     assert near is not None
-    ranges = _subtract_delays(ranges, near, processing)
+    ranges = subtract_delays(ranges, near, processing)
     wanted &= (near.el > processing.mask) & np.isfinite(ranges)
     use = wanted
     if processing.systems == "auto":
@@ -379,7 +379,7 @@ def solve_fixes(
     )
 
 
-def _subtract_delays(ranges: FloatArray, near: Look, processing: Processing) -> FloatArray:
+def subtract_delays(ranges: FloatArray, near: Look, processing: Processing) -> FloatArray:
     """Subtract the delays of the atmosphere from ranges (K,) [m]."""
     if "ionosphere" not in processing.without and processing.ionosphere != "free":
         ranges = ranges - near.ionosphere

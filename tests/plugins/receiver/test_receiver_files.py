@@ -605,6 +605,103 @@ def test_epochs_with_a_false_time_have_no_fix(tmp_path):
     assert found.count_lost() == {words: 24}
 
 
+def spoil_clocks(tmp_path, letter, meters):
+    """Return the navigation file of ESBC with another error of the clock for each satellite of a system."""
+    draw, errors = np.random.default_rng(1), {}
+    lines = gzip.decompress(stored_gnss_file(ESBC[1]).read_bytes()).decode().splitlines(keepends=True)
+    for k, line in enumerate(lines):
+        if re.match(rf"{letter}\d\d ", line):
+            error = errors.setdefault(line[:3], draw.standard_normal() * meters / orbits.C)
+            lines[k] = f"{line[:23]}{float(line[23:42]) + error:19.12e}{line[42:]}"
+    path = tmp_path / f"{letter}.rnx"
+    path.write_text("".join(lines))
+    return path
+
+
+@pytest.mark.parametrize("systems", ["all", "gps,galileo"])
+@pytest.mark.parametrize(("letter", "name"), [("E", "Galileo"), ("G", "GPS")])
+@pytest.mark.parametrize("meters", [20.0, 1e5])
+def test_a_system_with_wrong_orbits_is_named_and_left_out(tmp_path, systems, letter, name, meters):
+    """The position is that of the others; left in, most epochs are worse or lost, without a word."""
+    found = bench.solve_rinex(
+        stored_gnss_file(ESBC[0]), spoil_clocks(tmp_path, letter, meters), systems=systems
+    )
+    (note,) = (note for note in found.notes if "is left out: its ranges differ from the position" in note)
+    assert note.startswith(name)
+    assert "48 of 48 epochs lose satellites or have no fix, without it 0" in note
+    rest = {"gps,galileo": "gps,galileo", "all": "gps,glonass,galileo,beidou"}[systems].split(",")
+    alone = solved(ESBC, systems=",".join(one for one in rest if one != name.lower()))
+    assert_allclose(found.fixes.lla, alone.fixes.lla, rtol=0, atol=0.05)
+    assert found.figures()["fixes"] == 48
+    assert {one.name[0] for one in found.list_satellites()}.isdisjoint(letter)
+
+
+def test_two_faulty_satellites_do_not_cost_their_system(tmp_path):
+    text = gzip.decompress(stored_gnss_file(SEPT[0]).read_bytes()).decode()
+    names = [one.name for one in solved(SEPT).list_satellites() if one.name[0] == "E" and one.epochs == 30]
+    assert len(names) >= 6
+    path = tmp_path / "two.rnx"
+    moved = [
+        f"{x[:3]}{float(x[3:17]) + 500.0 * int(x[1:3]):14.3f}{x[17:]}" if x[:3] in names[:2] else x
+        for x in text.split("\n")
+    ]
+    path.write_text("\n".join(moved))
+    found = bench.solve_rinex(path, stored_gnss_file(SEPT[1]), truth=SURVEYED)
+    assert not any("is left out" in note for note in found.notes)
+    assert found.figures()["epochs_with_exclusions"] == found.figures()["fixes"] == 30
+    assert found.figures()["3d_median_m"] < 2.0
+
+
+def keep_four(epoch, meters):
+    """Return an epoch with four satellites of GPS alone, whose ranges are wrong by up to some meters."""
+    head, *lines = epoch.split("\n")
+    gps = [line for line in lines if line.startswith(("G06", "G14", "G17", "G22"))]
+    moved = [
+        f"{x[:3]}{float(x[3:17]) + k * meters:14.3f}{x[17:]}"
+        for x, k in zip(gps, (1, -1, 0.5, -0.3), strict=True)
+    ]
+    return "\n".join([head.replace(" 23", "  4"), *moved])
+
+
+@pytest.mark.parametrize("meters", [2e4, 7e4, -2e3, -7e4])
+def test_fixes_of_a_jammed_start_are_not_valid(tmp_path, meters):
+    """Four satellites whose ranges are wrong give a fix kilometers off with a sigma of meters."""
+    text = gzip.decompress(stored_gnss_file(SEPT[0]).read_bytes()).decode()
+    head, *epochs = text.split("\n>")
+    jammed = [keep_four(one, meters) if k < 12 else one for k, one in enumerate(epochs)]
+    path = tmp_path / "jammed.rnx"
+    path.write_text("\n>".join([head, *jammed]))
+    found = bench.solve_rinex(path, stored_gnss_file(SEPT[1]), truth=SURVEYED)
+    assert np.abs(found.errors()[:12]).max() > 2e3
+    assert np.sqrt(found.fixes.cov_pos_n[:12, 0, 0]).max() < 100
+    assert found.fixes.valid.tolist() == [k >= 12 for k in range(30)]
+    assert {reason.split(":")[0].split(",")[0] for reason in found.count_lost()} <= {
+        "an implausible height", "an implausible motion", "no satellite to spare that would test the fix",
+    }  # fmt: skip
+    path.write_text("\n>".join([head, *jammed[:12], *epochs[12:12]]))
+    alone = bench.solve_rinex(path, stored_gnss_file(SEPT[1]), truth=SURVEYED)
+    height = np.abs(alone.fixes.lla[:, 2] - 49.5e3) < 50.5e3
+    assert not (alone.fixes.valid & ~height).any()
+    assert any("nothing tests them" in note for note in alone.notes) == alone.fixes.valid.any()
+
+
+def test_four_satellites_between_tested_fixes_are_a_fix(tmp_path):
+    """Also at both ends of the record; without a tested fix for long they are not."""
+    text = gzip.decompress(stored_gnss_file(SEPT[0]).read_bytes()).decode()
+    head, *epochs = text.split("\n>")
+    path = tmp_path / "few.rnx"
+    few = [keep_four(one, 0.0) if k in (0, 9, 10, 11, 29) else one for k, one in enumerate(epochs)]
+    path.write_text("\n>".join([head, *few]))
+    assert bench.solve_rinex(path, stored_gnss_file(SEPT[1])).fixes.valid.all()
+    few = [keep_four(one, 0.0) if k < 25 else one for k, one in enumerate(epochs)]
+    path.write_text("\n>".join([head, *few]))
+    found = bench.solve_rinex(path, stored_gnss_file(SEPT[1]))
+    assert found.fixes.valid.tolist() == [k >= 15 for k in range(30)]
+    assert found.count_lost() == {
+        "no satellite to spare that would test the fix, and no tested fix near in time": 15
+    }
+
+
 # --- models ------------------------------------------------------------------------------------------------
 
 NTCM = {
