@@ -29,6 +29,7 @@ class LogFormat(NamedTuple):
     module: str = ""  # that reads it; none: `bench.io.logs.table_files`
     endings: tuple[str, ...] = ()  # of files that are this format if a log does not name another
     topics: bool = False  # names what it holds
+    fixes: bool = False  # contains fixes alone, as a file beside that of an IMU
     knows: bool = False  # of itself what it holds, as the log of an autopilot does
     package: str = ""  # that it needs
     recognizes: Callable[[Path], bool] | None = None  # files of other endings
@@ -47,7 +48,7 @@ FORMATS: Mapping[str, LogFormat] = {
     "kf-gins": LogFormat("bench.io.logs.formats.text"),
     "novatel": LogFormat("bench.io.logs.formats.novatel", topics=True, recognizes=partial(is_kind, NOVATEL)),
     "gnsslogger": LogFormat("bench.io.logs.formats.gnsslogger", recognizes=partial(is_kind, GNSSLOGGER)),
-    "rtklib": LogFormat("bench.io.logs.formats.text", (".pos",)),
+    "rtklib": LogFormat("bench.io.logs.formats.text", (".pos",), fixes=True),
 }
 """Name of a format of bench -> the format; a table is a CSV, Parquet or MATLAB file."""
 

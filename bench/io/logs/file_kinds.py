@@ -97,7 +97,7 @@ KINDS: Sequence[tuple[FileKind, Callable[[bytes], bool]]] = (
     ),
     (FileKind("a recording of RTCM 3 messages", _TO_RINEX), _is_rtcm),
     (
-        FileKind(UBX, "bench fixes FILE NAV computes fixes from its UBX-RXM-RAWX"),
+        FileKind(UBX, "put it beside a table of an IMU, or compute fixes from its ranges: bench fixes FILE"),
         _matches(rb"\A.{0,200}\xb5\x62[\x01\x02\x0a\x0d\x10\x21\x27]"),
     ),
     (FileKind("a Septentrio SBF recording", _TO_RINEX), _begins(b"$@")),

@@ -10,8 +10,11 @@ from bench.core.files import disk_arrays
 from bench.core.mathematics.arrays import BoolArray, FloatArray, IntArray
 from bench.core.words.exceptions import ConfigError
 from bench.io.logs.rows import LogRows
+from bench.simulation.signals.gps_time import leap_seconds, to_date
 from bench.simulation.signals.orbits import WEEK
 
+_UNIX_TO_GPS = 315964800.0  # from 1970 to 1980-01-06 [s]
+_GPS_BEGIN, _UNIX_BEGIN = 1e9, 1.5e9  # GPS time of 2011, Unix time of 2017: the ranges do not meet [s]
 _NEAR = 600.0  # a gap over the end of a week may be twice as long [s]
 
 
@@ -55,11 +58,38 @@ def meet_week(rows: LogRows, first: float, last: float) -> LogRows:
     """Return rows with their times in the week of an IMU that has times from first to last [s]."""
     week = find_week(rows.t, first, last)
     if not week:
-        return rows
+        return _meet_unix(rows, first, last)
     values = dict(rows.values)
     if "arrival" in values:
         values["arrival"] = values["arrival"] + week
     return replace(rows, t=rows.t + week, values=values, week_ends=True)
+
+
+def _meet_unix(rows: LogRows, first: float, last: float) -> LogRows:
+    """Return rows with GPS times since 1980-01-06 moved to the clock of an IMU that counts from 1970.
+
+    That clock is UTC, or GPS time if the rows and the IMU then have more time in common.
+    """
+    if not len(rows.t) or not (first > _UNIX_BEGIN > rows.t.max() and rows.t.min() > _GPS_BEGIN):
+        return rows
+    ahead = leap_seconds(to_date(float(rows.t.min())))
+    shared = {
+        shift: min(rows.t.max() + shift, last) - max(rows.t.min() + shift, first)
+        for shift in (_UNIX_TO_GPS - ahead, _UNIX_TO_GPS)
+    }
+    utc, gps = shared
+    shift = gps if shared[gps] > shared[utc] + 1.0 else utc
+    if shared[shift] < 0.0:
+        return rows
+    taken, other, more = ("UTC", "GPS time", -ahead) if shift == utc else ("GPS time", "UTC", ahead)
+    note = (
+        f"the fixes count GPS time from 1980, the IMU from 1970: taken as {taken}; if it counts {other}, "
+        f"[imu] time_offset_s must add {more:+d}"
+    )
+    values = dict(rows.values)
+    if "arrival" in values:
+        values["arrival"] = values["arrival"] + shift
+    return replace(rows, t=rows.t + shift, values=values, notes=(*rows.notes, note))
 
 
 def check_order(t: FloatArray, valid: BoolArray, origin: float, shown: str) -> None:

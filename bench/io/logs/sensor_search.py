@@ -12,6 +12,7 @@ import numpy as np
 from bench.core.mathematics.arrays import FloatArray
 from bench.core.mathematics.units import ENDINGS, FACTORS, STANDARD_GRAVITY, split_unit
 from bench.core.words.exceptions import ConfigError
+from bench.io.log_formats import FORMATS
 from bench.io.logs.exporter_names import make_plain, match_exporter
 from bench.io.logs.file_kinds import describe_unreadable
 from bench.io.logs.finding.program_clocks import find_clocks
@@ -204,7 +205,7 @@ def find_tables(path: Path) -> dict[str, FoundSensor]:
         If there is no IMU in the file, no receiver in any, or a unit cannot be told.
     """
     endings = (*TABLES, *TEXTS) if path.suffix.lower() in TEXTS else TABLES
-    beside = sorted(p for p in path.parent.iterdir() if p.suffix.lower() in endings and p != path)
+    beside = _list_beside(path, endings)
     return find_beside(find_sensor(path, "imu", IMU_STEP), path, beside)
 
 
@@ -238,6 +239,9 @@ def find_beside(imu: FoundSensor | None, path: Path, beside: Sequence[Path]) -> 
                     break
         if matches or apart:
             found[kind] = _name_form(min(matches or apart, key=lambda match: match.turns))
+    alone = [place for one in FORMATS.values() if one.fixes for place in _list_beside(path, one.endings)]
+    if "imu" in found and "gnss" not in found and alone:
+        found["gnss"] = FoundSensor(alone[0], {}, ())
     if missing := [kind for kind in ("imu", "gnss") if kind not in found]:
         if message := describe_unreadable(path):
             raise ConfigError(message)
@@ -261,6 +265,10 @@ def find_beside(imu: FoundSensor | None, path: Path, beside: Sequence[Path]) -> 
 
 def _name_form(found: FoundSensor) -> FoundSensor:
     return found._replace(form="table") if found.path.suffix.lower() in TEXTS else found
+
+
+def _list_beside(path: Path, endings: Collection[str]) -> list[Path]:
+    return sorted(one for one in path.parent.iterdir() if one.suffix.lower() in endings and one != path)
 
 
 def _meet(imu: FoundSensor, other: FoundSensor) -> bool:

@@ -51,6 +51,7 @@ def solve_fixes(
     kinds = {file: find_kind(file, str(file)) for file in files}
     observations = [file for file, kind in kinds.items() if kind in ("observations", "ubx")]
     navigation = [file for file, kind in kinds.items() if file not in observations]
+    navigation = navigation or [file for file in observations if kinds[file] == "ubx"]
     for found, words in ((observations, "observations"), (navigation, "navigation")):
         if not found:
             raise ConfigError(f"{', '.join(map(str, files))}: no file of {words} is among them")

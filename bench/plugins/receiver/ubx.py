@@ -1,29 +1,31 @@
-"""Read the raw measurements of u-blox receivers, UBX-RXM-RAWX, as observations.
+"""Read UBX of u-blox receivers: raw measurements (RXM-RAWX) and broadcast messages (RXM-SFRBX).
 
-The layout of the message is that of the ROS package ublox_ubx_msgs; pyubx2 reads the same values.
-One message of a fixed layout needs no package. NMEA, RTCM and other messages are passed over.
+The layouts are those of the ROS package ublox_ubx_msgs and of the u-blox interface description UBX-18010854;
+pyubx2 reads the same values. BroadcastParts of a fixed layout need no package. Others are passed over.
 """
 
 from __future__ import annotations
 
+import re
 from array import array
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, NamedTuple
 
 import numpy as np
 
 from bench.core.files.file_checks import check_file
 from bench.core.records.orbit_sets import BEIDOU, GALILEO, GLONASS, GPS
 from bench.core.words.exceptions import ConfigError
+from bench.plugins.receiver.rinex.ephemerides import NavigationFile
 from bench.plugins.receiver.rinex.observations import ObservationFile
 from bench.plugins.receiver.rinex.unpacking import BLOCK, UnpackingError, open_binary
+from bench.plugins.receiver.subframes import D1, FDMA, INAV, LNAV, BroadcastParts, decode
 from bench.simulation.signals.orbits import DAY, WEEK
 
-_SYNC = b"\xb5\x62\x02\x15"
-_HEAD, _ROW = 16, 32
-_LONGEST = 6 + _HEAD + _ROW * 255 + 2  # of a message [byte]
+_HEAD = 16
+_LONGEST = 8 + _HEAD + 32 * 255  # of a message [byte]
 _MOST_BYTES = 2_000_000_000
 _FIELDS = np.dtype(
     [("range", "<f8"), ("phase", "<f8"), ("doppler", "<f4"), ("system", "u1"), ("sat", "u1"),
@@ -35,37 +37,73 @@ _OTHERS = {1: "SBAS", 5: "QZSS", 7: "NavIC"}
 _BANDS = {  # signal identifier -> carrier (0 first, 1 second) and RINEX band digit
     GPS: {0: (0, 1), 3: (1, 2), 4: (1, 2)},
     GALILEO: {0: (0, 1), 1: (0, 1), 3: (1, 5), 4: (1, 5), 5: (1, 7), 6: (1, 7)},
-    BEIDOU: {0: (0, 2), 1: (0, 2), 2: (1, 7), 3: (1, 7)},
+    BEIDOU: {0: (0, 2), 1: (0, 2), 2: (1, 7), 3: (1, 7), 4: (1, 6), 10: (1, 6)},
     GLONASS: {0: (0, 1), 2: (1, 2)},
 }
 _RANGE_VALID, _PHASE_VALID = 1, 2
+_MESSAGE_SIGNALS = {GPS: (0,), GLONASS: (0, 2), GALILEO: (1, 5), BEIDOU: (0, 4)}  # with LNAV, FDMA, I/NAV, D1
+_WORDS = {GPS: 10, GLONASS: 4, GALILEO: 8, BEIDOU: 10}  # of them, at least
+_PREAMBLE_GPS, _PREAMBLE_BEIDOU = 0x8B, 0b11100010010
+_MOST_WAITING = 100_000  # broadcast messages before the receiver has the time
 
 
-def _read_messages(file: BinaryIO) -> Iterator[bytes | None]:
-    """Yield the payload of each sound message, and None for each that is damaged."""
+class FrameLayout(NamedTuple):
+    """Length of a message: a head, and rows whose number is in a byte of the head."""
+
+    head: int
+    row: int = 0
+    place: int = 0  # of the byte
+
+
+RAWX, SFRBX = b"\x02\x15", b"\x02\x13"
+LAYOUTS = {RAWX: FrameLayout(16, 32, 11), SFRBX: FrameLayout(8, 4, 4)}
+
+
+def read_messages(
+    path: Path, shown: str, layouts: Mapping[bytes, FrameLayout]
+) -> Iterator[tuple[bytes, bytes | None]]:
+    """Yield class and number of each message of some layouts, and its payload, None if it is damaged.
+
+    Raises
+    ------
+    ConfigError
+        If the file cannot be read or unpacked, or is too large.
+    """
+    try:
+        check_file(path, shown, _MOST_BYTES)
+        with open_binary(path, shown) as file:
+            yield from _find_messages(file, layouts)
+    except UnpackingError as error:
+        raise ConfigError(f"{shown}: {error}") from None
+    except OSError as error:
+        raise ConfigError(f"{shown}: {error.strerror or error}") from None
+
+
+def _find_messages(
+    file: BinaryIO, layouts: Mapping[bytes, FrameLayout]
+) -> Iterator[tuple[bytes, bytes | None]]:
+    sync = re.compile(b"\xb5\x62(" + b"|".join(re.escape(kind) for kind in layouts) + b")", re.DOTALL)
     content, at, more = b"", 0, True
     while more:
         block = file.read(BLOCK)
         content, at, more = content[at:] + block, 0, bool(block)
         while True:
-            found = content.find(_SYNC, at)
-            if found < 0:
-                at = max(at, len(content) - len(_SYNC) + 1)
+            match = sync.search(content, at)
+            if match is None:
+                at = max(at, len(content) - 3)
                 break
+            found, layout = match.start(), layouts[match[1]]
             if more and len(content) - found < _LONGEST:
                 at = found
                 break
             length = int.from_bytes(content[found + 4 : found + 6], "little")
-            end = found + 6 + length
+            end, place = found + 6 + length, found + 6 + layout.place
             body = content[found + 2 : end]
-            rows = content[found + 17] if found + 17 < len(content) else 0
-            sound = len(content) >= end + 2 and length == _HEAD + _ROW * rows
-            if sound and _sum(body) == content[end : end + 2]:
-                yield body[4:]
-                at = end + 2
-            else:
-                yield None
-                at = found + 2
+            rows = content[place] if layout.row and place < len(content) else 0
+            sound = len(content) >= end + 2 and length == layout.head + layout.row * rows
+            sound = sound and _sum(body) == content[end : end + 2]
+            yield match[1], body[4:] if sound else None
+            at = end + 2 if sound else found + 2
 
 
 def _sum(body: bytes) -> bytes:
@@ -73,6 +111,12 @@ def _sum(body: bytes) -> bytes:
     values = np.frombuffer(body, np.uint8).astype(np.int64)
     n = len(values)
     return bytes((int(values.sum()) & 0xFF, int((values * (n - np.arange(n))).sum()) & 0xFF))
+
+
+def find_time(message: bytes) -> float | None:
+    """Return the time of an RXM-RAWX [s since 1980-01-06]; None if the receiver has none yet."""
+    tow, week = float(np.frombuffer(message, "<f8", 1)[0]), int.from_bytes(message[8:10], "little")
+    return WEEK * week + tow if week and 0.0 <= tow < WEEK else None
 
 
 class _UbxRows:
@@ -89,8 +133,8 @@ class _UbxRows:
 
     def add(self, message: bytes) -> None:
         """Take the observations of an epoch."""
-        tow, week = np.frombuffer(message, "<f8", 1)[0], int.from_bytes(message[8:10], "little")
-        if week == 0:  # a receiver that has no time yet
+        time = find_time(message)
+        if time is None:
             self.early += 1
             return
         rows: dict[tuple[int, int], int] = {}
@@ -117,7 +161,7 @@ class _UbxRows:
             lock = int(one["lock"])
             self.slipped[at] = lock < self._locks.get((*key, carrier), 0) or lock == 0
             self._locks[(*key, carrier)] = lock
-        self.seconds.append(WEEK * week + float(tow))
+        self.seconds.append(time)
         self.start.append(len(self.sat))
 
     def _begin_row(self, system: int, sat: int) -> None:
@@ -139,18 +183,11 @@ def read_ubx(path: Path, shown: str | None = None) -> ObservationFile:
     """
     shown = path.name if shown is None else shown
     rows, damaged = _UbxRows(), 0
-    try:
-        check_file(path, shown, _MOST_BYTES)
-        with open_binary(path, shown) as file:
-            for message in _read_messages(file):
-                if message is None:
-                    damaged += 1
-                else:
-                    rows.add(message)
-    except UnpackingError as error:
-        raise ConfigError(f"{shown}: {error}") from None
-    except OSError as error:
-        raise ConfigError(f"{shown}: {error.strerror or error}") from None
+    for _, message in read_messages(path, shown, {RAWX: LAYOUTS[RAWX]}):
+        if message is None:
+            damaged += 1
+        else:
+            rows.add(message)
     early = f"{shown}: {rows.early} epochs before the receiver had the time"
     if not rows.seconds:
         text = early if rows.early else f"{shown}: has no raw measurements (UBX-RXM-RAWX) in it"
@@ -186,3 +223,70 @@ def read_ubx(path: Path, shown: str | None = None) -> ObservationFile:
         slipped=np.frombuffer(rows.slipped, np.bool_).reshape(-1, 2),
         others=rows.others,
     )
+
+
+def read_ubx_navigation(path: Path, shown: str | None = None) -> NavigationFile:
+    """Read the ephemerides in a UBX stream, except those of geostationary satellites of BeiDou.
+
+    Raises
+    ------
+    ConfigError
+        If it has none, or no time.
+    """
+    shown = path.name if shown is None else shown
+    near, found, waiting = None, BroadcastParts(), list[bytes]()
+    for kind, message in read_messages(path, shown, LAYOUTS):
+        if message is None:
+            continue
+        if kind == SFRBX:
+            waiting.append(message)
+        elif (time := find_time(message)) is not None:
+            near = time
+        if near is not None or len(waiting) > _MOST_WAITING:
+            for one in waiting if near is not None else ():
+                _take_subframe(found, one, near or 0.0)
+            waiting.clear()
+    nav = found.make_file(shown)
+    if not any(len(one) for sets in nav.list_sets().values() for one in sets):
+        raise ConfigError(
+            f"{shown}: has no whole ephemeris (UBX-RXM-SFRBX) in it; give the navigation file of the day, too"
+        )
+    return nav
+
+
+def _take_subframe(found: BroadcastParts, message: bytes, near: float) -> None:
+    """Take the words of an RXM-SFRBX, if they are of a message that is read."""
+    system, sat, signal, channel = _SYSTEMS.get(message[0]), message[1], message[2], message[3] - 7
+    words = [int(word) for word in np.frombuffer(message, "<u4", offset=8)]
+    if system is None or sat == 255 or signal not in _MESSAGE_SIGNALS[system] or len(words) < _WORDS[system]:
+        return
+    source = (system, sat, signal)
+    if system == GPS:
+        bits = _join_words(words[:10], 24, 6)
+        number, preamble = bits >> 194 & 7, bits >> 232
+        if preamble == _PREAMBLE_GPS and number in LNAV:
+            found.add(source, number, decode(bits, 192, LNAV[number]), near)
+    elif system == GALILEO:
+        if words[0] >> 30 or words[4] >> 30 != 2:  # even and odd part of a nominal page
+            return
+        bits = (words[0] & (1 << 30) - 1) << 98 | words[1] << 66 | words[2] << 34
+        bits |= (words[3] >> 14) << 16 | words[4] >> 14 & 0xFFFF
+        if (number := bits >> 122) in INAV:
+            found.add(source, number, decode(bits, 122, INAV[number]), near)
+    elif system == BEIDOU:
+        bits = (words[0] >> 4 & (1 << 26) - 1) << 198 | _join_words(words[1:10], 22, 8)
+        if bits >> 213 == _PREAMBLE_BEIDOU and (number := bits >> 206 & 7) in D1:
+            found.add(source, number, decode(bits, 186, D1[number]), near)
+    else:
+        bits = _join_words(words[:3], 32, 0)
+        if not bits >> 95 and (number := bits >> 91) in FDMA:
+            fields = decode(bits, 91, FDMA[number], magnitude=True)
+            found.add(source, number, fields | {"channel": channel}, near)
+
+
+def _join_words(words: list[int], width: int, parity: int) -> int:
+    """Return the data bits of words, first word first."""
+    bits = 0
+    for word in words:
+        bits = bits << width | word >> parity & (1 << width) - 1
+    return bits

@@ -106,7 +106,8 @@ def test_ubx_behind_the_messages_of_the_program_that_recorded_it(tmp_path):
 
 def test_fixes_names_what_is_missing_beside_ubx(capsys):
     assert main(["fixes", str(F9T)]) == 2
-    assert "no file of navigation is among them" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "has no whole ephemeris (UBX-RXM-SFRBX) in it; give the navigation file of the day, too" in said
 
 
 def rows_of(raw):

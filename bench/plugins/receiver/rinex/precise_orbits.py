@@ -18,6 +18,7 @@ from bench.core.records.orbit_sets import GLONASS, LETTERS, SYSTEM_NAMES, OrbitT
 from bench.core.words.exceptions import ConfigError
 from bench.plugins.receiver.rinex.ephemerides import NavigationFile, merge_navigation, read_navigation
 from bench.plugins.receiver.rinex.lines import BEIDOU_LATE, Lines, find_kind, open_lines, read_calendar
+from bench.plugins.receiver.ubx import read_ubx_navigation
 from bench.simulation.signals.gps_time import leap_seconds, to_date
 
 _EPOCH = re.compile(r"\*|EOF")
@@ -213,7 +214,7 @@ def _join(system: int, step: float, files: Sequence[PreciseFile]) -> Iterator[Or
 
 
 def read_orbits(paths: Sequence[Path]) -> NavigationFile:
-    """Read navigation and SP3 files; a system that has precise orbits is computed from these alone.
+    """Read navigation, UBX and SP3 files; a system that has precise orbits is computed from these alone.
 
     A navigation file in which nothing can be read is left out with a note if another one can be read.
 
@@ -226,7 +227,8 @@ def read_orbits(paths: Sequence[Path]) -> NavigationFile:
     broadcast, wrong = list[NavigationFile](), list[ConfigError]()
     for path in (path for path in paths if kinds[path] != "sp3"):
         try:
-            broadcast.append(read_navigation(path, str(path)))
+            read = read_ubx_navigation if kinds[path] == "ubx" else read_navigation
+            broadcast.append(read(path, str(path)))
         except ConfigError as error:
             wrong.append(error)
     files = [read_precise_orbits(path, str(path)) for path in paths if kinds[path] == "sp3"]
