@@ -12,10 +12,10 @@ import numpy as np
 
 from bench.io.logs import formats
 from bench.io.trajectories.track_files import read_track
+from bench.plugins.receiver.receiver_streams.ubx import read_ubx
 from bench.plugins.receiver.rinex.lines import find_kind
 from bench.plugins.receiver.rinex.observations import read_observations
 from bench.plugins.receiver.rinex.precise_orbits import make_tables, read_precise_orbits
-from bench.plugins.receiver.ubx import read_ubx
 from bench.simulation.signals.terrain import describe_terrain
 from tests.data import stored_gnss_file
 from tests.plugins.autopilots.telemetry_writer import write_telemetry

@@ -17,10 +17,10 @@ from bench.io.logs import formats
 from bench.io.logs.resting_log import read_resting_log
 from bench.io.trajectories.track_files import read_track
 from bench.plugins.receiver import almanac
+from bench.plugins.receiver.receiver_streams.ubx import read_ubx
 from bench.plugins.receiver.rinex.ephemerides import read_navigation
 from bench.plugins.receiver.rinex.observations import read_observations
 from bench.plugins.receiver.rinex.precise_orbits import read_precise_orbits
-from bench.plugins.receiver.ubx import read_ubx
 from tests import fuzz
 from tests.exchange import test_log_formats
 

@@ -18,8 +18,8 @@ from bench.io.logs.mat_file import read_mat
 from bench.io.logs.table_files import read_table
 from bench.io.trajectories.track_files import read_track
 from bench.plugins.autopilots import ulog
+from bench.plugins.receiver.receiver_streams.ubx import read_ubx
 from bench.plugins.receiver.rinex.lines import open_lines
-from bench.plugins.receiver.ubx import read_ubx
 from bench.simulation.signals.terrain import describe_terrain
 
 

@@ -110,7 +110,10 @@ KINDS: Sequence[tuple[FileKind, Callable[[bytes], bool]]] = (
         _matches(rb"(?m)^[#%](?:RAWIMU|IMU|INS|BEST|RANGE|CORRIMU)\w*A,"),
     ),
     (
-        FileKind(GNSSLOGGER, "bench new log FILE"),
+        FileKind(
+            GNSSLOGGER,
+            "bench new log FILE; with a navigation file of the day its ranges give fixes: bench fixes FILE NAV",
+        ),
         _matches(rb"(?m)^#\s*Raw,(?:ElapsedRealtimeMillis|utcTimeMillis)"),
     ),
     (FileKind(RINEX, "bench fixes OBS NAV computes its fixes"), _matches(rb"\A.{60}RINEX VERSION / TYPE")),

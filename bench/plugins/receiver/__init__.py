@@ -1,1 +1,1 @@
-"""A GNSS receiver: RINEX, SP3 and UBX files, fixes from ranges, and their pages."""
+"""A GNSS receiver: RINEX, SP3, UBX and GnssLogger files, fixes from ranges, and their pages."""

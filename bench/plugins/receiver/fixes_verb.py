@@ -49,7 +49,7 @@ def solve_fixes(
 
         check_recording(recording, force=force)
     kinds = {file: find_kind(file, str(file)) for file in files}
-    observations = [file for file, kind in kinds.items() if kind in ("observations", "ubx")]
+    observations = [file for file, kind in kinds.items() if kind in ("observations", "ubx", "gnsslogger")]
     navigation = [file for file, kind in kinds.items() if file not in observations]
     navigation = navigation or [file for file in observations if kinds[file] == "ubx"]
     for found, words in ((observations, "observations"), (navigation, "navigation")):

@@ -23,14 +23,15 @@ from bench.evaluation.consistency.nees_band import find_band
 from bench.plugins.receiver import implausible_fixes, lost_epochs, unfit_systems
 from bench.plugins.receiver.fix_truth import Truth
 from bench.plugins.receiver.ionosphere_choice import choose_ionosphere
+from bench.plugins.receiver.receiver_streams.android_log import read_android
+from bench.plugins.receiver.receiver_streams.ubx import read_ubx
 from bench.plugins.receiver.rinex.ephemerides import NavigationFile
 from bench.plugins.receiver.rinex.lines import find_kind
 from bench.plugins.receiver.rinex.observations import ObservationFile, read_observations
 from bench.plugins.receiver.rinex.one_receiver import merge_observations
 from bench.plugins.receiver.rinex.precise_orbits import read_orbits
-from bench.plugins.receiver.ubx import read_ubx
 from bench.simulation.signals import dilution, orbits, receiver_solution, smoothing
-from bench.simulation.signals.processing import Processing
+from bench.simulation.signals.processing import Processing, estimate_code_sd
 
 _EPOCH = datetime(1980, 1, 6)
 _HEADER = (
@@ -318,6 +319,9 @@ def solve_files(
     nav = read_orbits(navigation)
     processing, notes = choose_ionosphere(raw, nav, processing)
     pseudorange, noise = raw.pseudorange, None
+    if raw.sd is not None:
+        usual = estimate_code_sd(raw.system, raw.cn0[:, 0], processing.budget)
+        noise = np.fmax(raw.sd[:, 0] / usual, 1.0)
     if window > 0:
         pseudorange, noise = _smooth(raw, nav, window)
         if not np.isfinite(raw.phase).any():
@@ -370,8 +374,8 @@ def solve_files(
 
 
 def _read(path: Path, phase: bool) -> ObservationFile:
-    if find_kind(path, str(path)) == "ubx":
-        return read_ubx(path, str(path))
+    if read := {"ubx": read_ubx, "gnsslogger": read_android}.get(find_kind(path, str(path))):
+        return read(path, str(path))
     return read_observations(path, str(path), phase=phase)
 
 

@@ -22,8 +22,8 @@ from bench.io.config.log import load_log
 from bench.io.logs.log_records import read_records
 from bench.io.logs.record_clock import meet_week
 from bench.io.logs.rows import LogRows
-from bench.plugins.receiver import subframes, ubx_fixes
-from bench.plugins.receiver.ubx import read_ubx_navigation
+from bench.plugins.receiver.receiver_streams import subframes, ubx_fixes
+from bench.plugins.receiver.receiver_streams.ubx import read_ubx_navigation
 from tests.data import stored_gnss_file
 
 WALK = stored_gnss_file("walk-2025-08-28.ubx.gz")

@@ -12,8 +12,8 @@ from numpy.testing import assert_allclose
 from bench.cli.command_line import main
 from bench.core.records.orbit_sets import BEIDOU, GALILEO, GLONASS, GPS
 from bench.core.words.exceptions import ConfigError
+from bench.plugins.receiver.receiver_streams.ubx import read_ubx
 from bench.plugins.receiver.rinex.lines import find_kind
-from bench.plugins.receiver.ubx import read_ubx
 from bench.simulation.signals import orbits, smoothing
 from tests.data import stored_gnss_file
 

@@ -14,11 +14,11 @@ from scipy.io import savemat
 from bench.core.words.exceptions import ConfigError
 from bench.io.logs import mat_file
 from bench.io.trajectories.track_files import read_track
+from bench.plugins.receiver.receiver_streams.ubx import read_ubx
 from bench.plugins.receiver.rinex import precise_orbits, unpacking
 from bench.plugins.receiver.rinex.lines import find_kind
 from bench.plugins.receiver.rinex.observations import read_observations
 from bench.plugins.receiver.rinex.precise_orbits import read_precise_orbits
-from bench.plugins.receiver.ubx import read_ubx
 from bench.simulation.flight import model_files
 from tests.data import stored_gnss_file
 from tests.plugins.receiver.packed import compress, write_codes

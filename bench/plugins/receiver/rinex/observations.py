@@ -62,6 +62,7 @@ class ObservationFile:
     slipped: BoolArray  # (K, 2) the receiver says that it lost count of the cycles
     recounted: int = 0  # number of epochs with another number of satellites than they say
     others: Mapping[str, int] = field(default_factory=dict)  # name of a system that is left out -> its rows
+    sd: FloatArray | None = None  # (K, 2) what the receiver says of its ranges [m]; NaN where it says nothing
 
 
 class _Header:

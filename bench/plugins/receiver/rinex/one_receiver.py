@@ -38,8 +38,10 @@ def merge_observations(files: Sequence[ObservationFile]) -> ObservationFile:
     others: Mapping[str, int] = {}
     for file in files:
         others = {**file.others, **others}
+    spreads = [np.full((len(file.sat), 2), np.nan) if file.sd is None else file.sd for file in files]
     return replace(
         first,
+        sd=np.concatenate(spreads),
         shown=", ".join(file.shown for file in files),
         t=t,
         epoch_start=np.concatenate([[0], np.cumsum(counts)]),

@@ -16,9 +16,9 @@ import numpy as np
 from bench.core.mathematics.arrays import FloatArray
 from bench.core.records.orbit_sets import GLONASS, LETTERS, SYSTEM_NAMES, OrbitTable
 from bench.core.words.exceptions import ConfigError
+from bench.plugins.receiver.receiver_streams.ubx import read_ubx_navigation
 from bench.plugins.receiver.rinex.ephemerides import NavigationFile, merge_navigation, read_navigation
 from bench.plugins.receiver.rinex.lines import BEIDOU_LATE, Lines, find_kind, open_lines, read_calendar
-from bench.plugins.receiver.ubx import read_ubx_navigation
 from bench.simulation.signals.gps_time import leap_seconds, to_date
 
 _EPOCH = re.compile(r"\*|EOF")

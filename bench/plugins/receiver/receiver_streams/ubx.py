@@ -7,8 +7,6 @@ pyubx2 reads the same values. BroadcastParts of a fixed layout need no package. 
 from __future__ import annotations
 
 import re
-from array import array
-from collections import Counter
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
@@ -18,11 +16,12 @@ import numpy as np
 from bench.core.files.file_checks import check_file
 from bench.core.records.orbit_sets import BEIDOU, GALILEO, GLONASS, GPS
 from bench.core.words.exceptions import ConfigError
+from bench.plugins.receiver.receiver_streams.observation_rows import ObservationRows
+from bench.plugins.receiver.receiver_streams.subframes import D1, FDMA, INAV, LNAV, BroadcastParts, decode
 from bench.plugins.receiver.rinex.ephemerides import NavigationFile
 from bench.plugins.receiver.rinex.observations import ObservationFile
 from bench.plugins.receiver.rinex.unpacking import BLOCK, UnpackingError, open_binary
-from bench.plugins.receiver.subframes import D1, FDMA, INAV, LNAV, BroadcastParts, decode
-from bench.simulation.signals.orbits import DAY, WEEK
+from bench.simulation.signals.orbits import WEEK
 
 _HEAD = 16
 _LONGEST = 8 + _HEAD + 32 * 255  # of a message [byte]
@@ -120,14 +119,10 @@ def find_time(message: bytes) -> float | None:
 
 
 class _UbxRows:
-    """The epochs and observations read so far, in compact arrays."""
+    """The observations so far, and since when their phases are counted."""
 
     def __init__(self) -> None:
-        self.seconds, self.start = array("d"), array("q", [0])
-        self.system, self.sat = array("q"), array("q")
-        self.values = tuple(array("d") for _ in range(4))  # of two carriers: range, Doppler, C/N0, phase
-        self.band, self.slipped = array("q"), array("b")  # of two carriers
-        self.others: Counter[str] = Counter()
+        self.table = ObservationRows()
         self.early = 0  # epochs without a time
         self._locks: dict[tuple[int, int, int], int] = {}
 
@@ -137,40 +132,22 @@ class _UbxRows:
         if time is None:
             self.early += 1
             return
-        rows: dict[tuple[int, int], int] = {}
         for one in np.frombuffer(message, _FIELDS, offset=_HEAD):
             system = _SYSTEMS.get(int(one["system"]))
             if system is None:
-                self.others[_OTHERS.get(int(one["system"]), "other systems")] += 1
+                self.table.others[_OTHERS.get(int(one["system"]), "other systems")] += 1
                 continue
             place = _BANDS[system].get(int(one["signal"]))
             if place is None or not one["status"] & _RANGE_VALID or one["sat"] == 255:
                 continue
-            key = (system, int(one["sat"]))
-            if key not in rows:
-                rows[key] = len(self.sat)
-                self._begin_row(*key)
-            (carrier, band), at = place, 2 * rows[key] + place[0]
-            if self.band[at]:
-                continue
+            (carrier, band), lock = place, int(one["lock"])
+            key = (system, int(one["sat"]), carrier)
             phase = one["phase"] if one["status"] & _PHASE_VALID else np.nan
-            found = (one["range"], one["doppler"], one["cn0"] or np.nan, phase)
-            for column, value in zip(self.values, found, strict=True):
-                column[at] = value
-            self.band[at] = band
-            lock = int(one["lock"])
-            self.slipped[at] = lock < self._locks.get((*key, carrier), 0) or lock == 0
-            self._locks[(*key, carrier)] = lock
-        self.seconds.append(time)
-        self.start.append(len(self.sat))
-
-    def _begin_row(self, system: int, sat: int) -> None:
-        self.system.append(system)
-        self.sat.append(sat)
-        for column in self.values:
-            column.extend((np.nan, np.nan))
-        self.band.extend((0, 0))
-        self.slipped.extend((0, 0))
+            found = (one["range"], one["doppler"], one["cn0"] or np.nan, phase, np.nan)
+            slipped = lock < self._locks.get(key, 0) or lock == 0
+            if self.table.put(*key, band, found, slipped):
+                self._locks[key] = lock
+        self.table.end_epoch(time)
 
 
 def read_ubx(path: Path, shown: str | None = None) -> ObservationFile:
@@ -189,40 +166,12 @@ def read_ubx(path: Path, shown: str | None = None) -> ObservationFile:
         else:
             rows.add(message)
     early = f"{shown}: {rows.early} epochs before the receiver had the time"
-    if not rows.seconds:
+    if not rows.table.seconds:
         text = early if rows.early else f"{shown}: has no raw measurements (UBX-RXM-RAWX) in it"
         raise ConfigError(text)
-    t = np.frombuffer(rows.seconds)
-    if (np.diff(t) <= 0).any():
-        raise ConfigError(f"{shown}: the times of its measurements do not increase")
-    if not rows.sat:
-        raise ConfigError(f"{shown}: has no range of GPS, GLONASS, Galileo or BeiDou in it")
-    origin = float(t[0] // DAY * DAY)
-    pseudorange, doppler, cn0, phase = (np.frombuffer(one).reshape(-1, 2) for one in rows.values)
-    return ObservationFile(
-        shown=shown,
-        marker="",
-        origin=origin,
-        t=t - origin,
-        epoch_start=np.frombuffer(rows.start, np.int64),
-        sat=np.frombuffer(rows.sat, np.int64),
-        system=np.frombuffer(rows.system, np.int64),
-        pseudorange=pseudorange,
-        doppler=doppler,
-        cn0=cn0,
-        approximate_e=None,
-        antenna_hen=np.zeros(3),
-        moving=False,
-        lost=damaged + rows.early,
-        reasons=(
-            *([f"{shown}: {damaged} messages with a wrong length or checksum"] if damaged else []),
-            *([early] if rows.early else []),
-        ),
-        band=np.frombuffer(rows.band, np.int64).reshape(-1, 2),
-        phase=phase,
-        slipped=np.frombuffer(rows.slipped, np.bool_).reshape(-1, 2),
-        others=rows.others,
-    )
+    wrong = f"{shown}: {damaged} messages with a wrong length or checksum"
+    reasons = [text for count, text in ((damaged, wrong), (rows.early, early)) if count]
+    return rows.table.make_file(shown, damaged + rows.early, tuple(reasons))
 
 
 def read_ubx_navigation(path: Path, shown: str | None = None) -> NavigationFile:

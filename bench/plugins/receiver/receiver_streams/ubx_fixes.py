@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from bench.core.mathematics.arrays import FloatArray
 from bench.core.words.exceptions import ConfigError
 from bench.io.logs.rows import MOST_ROWS, LogRows
-from bench.plugins.receiver.ubx import FrameLayout, read_messages
+from bench.plugins.receiver.receiver_streams.ubx import FrameLayout, read_messages
 from bench.simulation.signals.gps_time import gps_seconds, leap_seconds
 from bench.simulation.signals.orbits import WEEK
 

@@ -1,0 +1,1 @@
+"""Read what receivers record themselves: UBX of u-blox, and the raw measurements of Android phones."""
