@@ -146,7 +146,7 @@ class GnssTable(FileTable):
     """RINEX or UBX files of its ranges, a list of paths, in place of a file. Their times are in GPS time,
     seconds since 1980-01-06."""
     navigation: Annotated[tuple[str, ...], ROWS] = ()
-    """RINEX navigation files, with ``observations``."""
+    """RINEX navigation files, or UBX with RXM-SFRBX, with ``observations``."""
 
     position_m: _Arm3 = (0.0, 0.0, 0.0)
     """Position of the antenna from the same point."""
