@@ -168,7 +168,7 @@ def fit_shift(
 def variance_of_sum(values: FloatArray) -> float:
     """Return the variance (above 0) of the sum of values that are correlated, over a few rows or longer.
 
-    The larger of two estimates: by the products of rows up to `_LAGS` apart, and by the sums of `_BLOCKS` blocks.
+    The larger of two estimates: by products of rows up to `_LAGS` apart, and by the sums of `_BLOCKS` blocks.
     """
     products = [np.dot(values[lag:], values[:-lag]) for lag in range(1, min(_LAGS, len(values) - 1) + 1)]
     alone = float(np.dot(values, values))

@@ -1,7 +1,8 @@
 """Find the axes and the unit of a receiver's velocities from its own positions.
 
-Over spans of a second or more the mean velocity is compared with the change of the position, for every order and
-sign of the axes and every usual unit. Another choice than the given one counts if the likelihood rises by far.
+Over spans of a second or more the mean velocity is compared with the change of the position, for every order
+and sign of the axes and every usual unit. Another choice than the given one counts if the likelihood rises by
+far.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ _SHARE = 0.002  # of the power, from which an axis is compared
 
 
 class VelocityFrame(NamedTuple):
-    """Matrix (3, 3) from the velocities of a file to north, east, down in m/s, and what is wrong with them."""
+    """Matrix (3, 3) from velocities of a file to north, east, down in m/s, and what is wrong with them."""
 
     matrix: FloatArray
     text: str  # empty: nothing
