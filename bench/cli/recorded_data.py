@@ -67,6 +67,11 @@ class _LogCommand(click.Command):
     is_flag=True,
     help="assume the IMU noise measured in motion, if larger than in the datasheet",
 )
+@click.option(
+    "--apply",
+    is_flag=True,
+    help="change LOG.toml as the checks advise: clocks, axes, signs, units, lever arm",
+)
 @rates_option
 @results_options("log")
 @set_option

@@ -15,13 +15,13 @@ from bench.cli.new_files.log_starts import ChosenStart, choose_start
 from bench.cli.new_files.log_text import DATASHEETS, read_antenna, write_log
 from bench.core.files import durable
 from bench.core.mathematics.units import split_unit
-from bench.core.records.data import ImuData
 from bench.core.words.exceptions import ConfigError
 from bench.core.words.wording import one_line, quote_toml
 from bench.evaluation.motion.recorded_motion import Check, RecordedMotion
 from bench.evaluation.motion.rest_noise import assume_vibration
 from bench.evaluation.motion.validity import check_recording
 from bench.io.config.log import LogSpec, load_log
+from bench.io.config.log_changes import change_axes
 from bench.io.log_formats import FORMATS, find_format, guess_format
 from bench.io.logs import formats, found_datasheets, own_estimate
 from bench.io.logs.exporter_names import FORWARD_LEFT_UP
@@ -129,7 +129,8 @@ def new_log(name: str, *, console: Console, rates: str | None = None) -> None:
         console.print(f"{kind}: {one.path.name}{within}{': ' if named else ''}{named}", soft_wrap=True)
         for line in one.guessed:
             console.print(f"  {line}", soft_wrap=True)
-        for line in [one.told, clocks.get(kind, ""), clocks.get("axes", "") if kind == "imu" else ""]:
+        axes = clocks.get("axes", "").splitlines() if kind == "imu" else []
+        for line in [one.told, clocks.get(kind, ""), *axes]:
             if line:
                 console.print(f"  {line}", soft_wrap=True, markup=False)
     console.print(f"Wrote {log}. Lines with a question are for you.")
@@ -300,7 +301,7 @@ def _try_log(
     IMU, by the velocities.
     """
     spec, records = _read_back(log, write_log(log.stem, found, antenna, clocks))
-    if found["imu"].form != "kf-gins" and (line := _tell_axes(records.imu, found["imu"])):
+    if found["imu"].form != "kf-gins" and (line := _tell_axes(spec, records, found["imu"])):
         clocks["axes"] = line
         spec, records = _read_back(log, write_log(log.stem, found, antenna, clocks))
     if found["imu"].doubtful:
@@ -318,8 +319,19 @@ def _check(spec: LogSpec, records: LogRecords) -> list[Check]:
     return check_recording(records.imu, records.fixes, {}, np.asarray(spec.antenna_b))
 
 
-def _tell_axes(imu: ImuData, found: FoundSensor) -> str:
-    """Return the `mounting_deg` line of [imu] if gravity shows that z points up, else an empty string."""
+def _tell_axes(spec: LogSpec, records: LogRecords, found: FoundSensor) -> str:
+    """Return the lines of [imu] on its axes: by its program, by the motion or, without one, by gravity.
+
+    Empty: they are forward, right, down.
+    """
+    imu = records.imu
+    if found.axes != FORWARD_LEFT_UP and not found.doubtful:
+        advice = [one.advice["imu.axes"] for one in _check(spec, records) if "imu.axes" in one.advice]
+        keys = change_axes({}, *advice[0]) if advice else {}
+        if keys:
+            return "\n".join(
+                f"{key} = {json.dumps(value)}  # by the motion: right?" for key, value in keys.items()
+            )
     force = np.median(imu.dvel_b[imu.valid], axis=0)
     if not force[2] > 0.5 * np.linalg.norm(force):
         return ""

@@ -20,6 +20,7 @@ from bench.cli.verbs.flight_verbs import (
     show_stages,
     write_first,
 )
+from bench.cli.verbs.log_advice import apply_advice
 from bench.cli.verbs.printing import print_findings, print_wrapped
 from bench.core.records.findings import FindingTable
 from bench.core.records.run_result import RunResult
@@ -46,12 +47,14 @@ def navigate_log(
     force: bool,
     table: bool = False,
     rates: str | None = None,
+    apply: bool = False,
     **log_options: Any,
 ) -> dict[str, Any]:
     """Check a recording, run filters on it, print a screen of it, and write the results folder.
 
     ``name`` is a log, or a recording, for which one is written beside it unless it is there. If ``out`` is
-    None the folder is ``runs/<log>``. ``table`` prints every check and every main metric, too.
+    None the folder is ``runs/<log>``. ``table`` prints every check and every main metric, too. ``apply``
+    changes the log as its checks advise.
     ``log_options`` are those of `bench.read_log`.
     Returns ``metrics`` by filter, ``validity`` and ``outages``, as in ``result.json``.
     """
@@ -60,7 +63,7 @@ def navigate_log(
     folder = out or RUNS / Path(name).stem
     results.check_folder(folder, force=force)
     begun = time.perf_counter()
-    log = log_pipeline.read_log(name, **log_options)
+    log = apply_advice(name, console, **log_options) if apply else log_pipeline.read_log(name, **log_options)
     title = one_line(log.spec.title)
     ends = ", seconds of a week that ends in them" if log.records.week_ends else ""
     zero = f"{log.records.origin:.9g} s on the clock of the files{ends}"

@@ -57,6 +57,8 @@ class SourceSpec:
     columns: Mapping[str, str] = field(default_factory=dict)  # name with unit -> name in the file
     time_offset: float = 0.0  # added to its times [s]
     axes: tuple[int, int, int] = (1, 2, 3)  # of the file along x, y, z; negative: reversed
+    gyro_axes: tuple[int, int, int] = (1, 2, 3)  # those of the gyros of an IMU
+    accel_axes: tuple[int, int, int] = (1, 2, 3)  # those of its accelerometers
     gravity: bool = False  # its accelerometers have the sign of gravity
     gyro_path: Path | None = None  # of the gyros, if they have times of their own
     gyro_columns: Mapping[str, str] = field(default_factory=dict)

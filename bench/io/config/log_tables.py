@@ -121,6 +121,10 @@ class ImuTable(FileTable, AxesTable):
     """Table of the gyros, if ``file`` has the accelerometers alone, or each its own times; joined by time."""
     gyro_columns: _Columns = Field(default_factory=dict)
     """Columns of ``gyro_file``, as ``columns``."""
+    gyro_axes: _Axes | None = None
+    """Axes of the gyros, where they differ from ``axes``. Any signs."""
+    accel_axes: _Axes | None = None
+    """Axes of the accelerometers, where they differ from ``axes``. Any signs."""
     sign: Literal["specific-force", "gravity"] = "specific-force"
     """Sign of the accelerometers: at rest, "specific-force" points up and "gravity" down, as on iOS."""
     mounting_deg: _Angles3 = (0.0, 0.0, 0.0)
@@ -316,6 +320,8 @@ def describe_frame(row: FileTable, day: datetime.date | None, beside: Path) -> d
     if isinstance(row, AxesTable):
         frame["axes"] = read_axes(row.axes)
     if isinstance(row, ImuTable):
+        frame["gyro_axes"] = read_axes(row.gyro_axes or row.axes)
+        frame["accel_axes"] = read_axes(row.accel_axes or row.axes)
         frame["gravity"] = row.sign == "gravity"
         frame["gyro_path"] = None if row.gyro_file is None else beside / row.gyro_file
         frame["gyro_columns"] = dict(row.gyro_columns)

@@ -112,7 +112,7 @@ KINDS: Sequence[tuple[FileKind, Callable[[bytes], bool]]] = (
     (
         FileKind(
             GNSSLOGGER,
-            "bench new log FILE; its ranges give fixes with a navigation file of the day: bench fixes FILE NAV",
+            "bench new log FILE; with a navigation file its ranges give fixes: bench fixes FILE NAV",
         ),
         _matches(rb"(?m)^#\s*Raw,(?:ElapsedRealtimeMillis|utcTimeMillis)"),
     ),

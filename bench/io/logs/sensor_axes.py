@@ -11,24 +11,22 @@ from bench.core.mathematics.arrays import FloatArray
 from bench.io.config.log import SourceSpec
 from bench.io.logs.rows import LogRows
 
-_VECTORS = ("gyro", "accel", "dtheta", "dvel", "field_b")
-_FORCES = ("accel", "dvel")
+_GYROS, _FORCES = ("gyro", "dtheta"), ("accel", "dvel")
 _UNCHANGED = (1, 2, 3)
 
 
 def turn_axes(rows: LogRows, source: SourceSpec) -> LogRows:
     """Return rows along the axes of the log, with specific forces that point up at rest."""
-    if source.axes == _UNCHANGED and not source.gravity:
-        return rows
-    columns = [abs(axis) - 1 for axis in source.axes]
-    signs = np.sign(source.axes).astype(float)
-
-    def turn(values: FloatArray, factors: FloatArray) -> FloatArray:
-        return disk_arrays.fill(values.shape, lambda block: values[block][:, columns] * factors)
-
+    of_names = {"field_b": (source.axes, 1.0)} | dict.fromkeys(_GYROS, (source.gyro_axes, 1.0))
+    of_names |= dict.fromkeys(_FORCES, (source.accel_axes, -1.0 if source.gravity else 1.0))
     turned = {
-        name: turn(rows.values[name], -signs if source.gravity and name in _FORCES else signs)
-        for name in _VECTORS
-        if name in rows.values
+        name: _turn(rows.values[name], axes, sign)
+        for name, (axes, sign) in of_names.items()
+        if name in rows.values and (axes != _UNCHANGED or sign < 0)
     }
-    return replace(rows, values={**rows.values, **turned})
+    return replace(rows, values={**rows.values, **turned}) if turned else rows
+
+
+def _turn(values: FloatArray, axes: tuple[int, int, int], sign: float) -> FloatArray:
+    columns, signs = [abs(axis) - 1 for axis in axes], sign * np.sign(axes).astype(float)
+    return disk_arrays.fill(values.shape, lambda block: values[block][:, columns] * signs)

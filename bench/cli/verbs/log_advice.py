@@ -1,0 +1,57 @@
+"""Apply the advice of the checks of a log: its keys are changed, and kept only if more checks pass then."""
+
+from __future__ import annotations
+
+import os
+import tomllib
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from bench.core.files import durable
+from bench.core.words.exceptions import ConfigError
+from bench.io.config.log_changes import list_changes, write_changes
+from bench.pipeline import log_pipeline
+
+_ROUNDS = 3  # a second mistake may show only after the first is gone
+
+
+def apply_advice(name: str, console: Console, **log_options: Any) -> log_pipeline.RecordedLog:
+    """Change a log as its checks advise, and return it as it is read then.
+
+    Raises
+    ------
+    ConfigError
+        If the log cannot be read, or has no line of its own for a table that is to be changed.
+    """
+    path = Path(name)
+    log = log_pipeline.read_log(name, **log_options)
+    for _ in range(_ROUNDS):
+        advice = [check.advice for check in log.checks if not check.good and check.advice]
+        text = path.read_text(encoding="utf-8")
+        changed = list_changes(tomllib.loads(text), advice)
+        if not changed:
+            break
+        try:
+            after = write_changes(text, changed)
+        except ValueError as error:
+            raise ConfigError(f"{name}: {error}: change the keys by hand, or remove --apply") from None
+        trial = path.with_name(f"{path.stem}.applied.toml")
+        try:
+            durable.write(trial, after)
+            new = log_pipeline.read_log(str(trial), **log_options)
+            if _count_wrong(new) >= _count_wrong(log):
+                console.print(f"{name} is not changed: with the advice applied as many checks fail.")
+                break
+            os.replace(trial, path)
+        finally:
+            trial.unlink(missing_ok=True)
+        log = log_pipeline.read_log(name, **log_options)
+        for (table, key), value in changed.items():
+            console.print(f"{name}: \\[{table}] {key} = {value}", soft_wrap=True)
+    return log
+
+
+def _count_wrong(log: log_pipeline.RecordedLog) -> int:
+    return sum(not check.good for check in log.checks)
