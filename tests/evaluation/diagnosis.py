@@ -1,8 +1,8 @@
 """Mistakes, single and in pairs, in recordings of random motions: whether the checks of a log name them.
 
-``python -m tests.evaluation.diagnosis [--draws N] [--seed S] [--sound N] [--pairs]`` prints the table of the guide.
-A mistake is named if the advice of the checks, followed, leaves a recording without it, and no line remains
-that is not its own. What the motion does not show counts as named only if no other line is wrong.
+``python -m tests.evaluation.diagnosis [--draws N] [--seed S] [--sound N] [--pairs]`` prints the table of the
+guide. A mistake is named if the advice of the checks, followed, leaves a recording without it, and no line
+remains that is not its own. What the motion does not show counts as named only if no other line is wrong.
 """
 
 from __future__ import annotations
@@ -145,7 +145,7 @@ def follow(one: Recorded, checks: Mapping[str, Check]) -> Recorded:
 def describe(
     sound: Recorded, spoiled: Recorded, names: Sequence[str], one_way: bool, late: float
 ) -> tuple[str, list[str]]:
-    """Return what the checks say of mistakes: named, partly, missed or false, and the lines that are wrong."""
+    """Return what the checks say of mistakes: named, partly, missed or false, and the wrong lines."""
     checks = spoiled.check()
     own = {check for name in names for check in OWN[name]}
     wrong = [c for c in checks.values() if not c.good]

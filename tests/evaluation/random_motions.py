@@ -152,7 +152,6 @@ def draw(vehicle: str, seed: int, late: float = 0.0) -> Recorded:
     C = _matrices(euler) @ _matrices(np.array([[a, c, 0.0]]))
     pos = np.vstack([np.zeros(3), np.cumsum(0.5 * (vel[1:] + vel[:-1]), axis=0)]) * (t[1] - t[0])
     scale = [1.0 / 6.373e6, 1.0 / (6.389e6 * np.cos(ORIGIN[0])), -1.0]
-    lla = ORIGIN + pos * scale
     spin = earth.EARTH_RATE * np.array([np.cos(ORIGIN[0]), 0.0, -np.sin(ORIGIN[0])])
     # rates from R = C_k^T C_k+1, vectors of small rotations; the frame n turns with the Earth
     R = np.swapaxes(C[:-1], 1, 2) @ C[1:]

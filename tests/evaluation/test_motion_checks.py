@@ -156,33 +156,33 @@ def test_what_no_stretch_tells_is_as_uncertain_as_it_was_before(sound):
 
 
 UP, AHEAD = np.array([0.0, 0.0, -9.8]), np.array([1.0, 0.1, 0.0])
-I, TURNED = np.eye(3), np.diag([-1.0, -1.0, 1.0])
+EYE, TURNED = np.eye(3), np.diag([-1.0, -1.0, 1.0])
 
 
 @pytest.mark.parametrize(
     ("gyro", "accel", "told"),
     [
-        (I, I, ""),
-        (I, -I, "the accelerometers show gravity, not specific force"),
+        (EYE, EYE, ""),
+        (EYE, -EYE, "the accelerometers show gravity, not specific force"),
         (
             np.diag([1.0, -1.0, 1.0]),
-            I,
+            EYE,
             "the gyros fit the motion with their axes x, y, z taken from x, -y, z",
         ),
-        (I, I[[1, 0, 2]], "the accelerometers fit the motion with their axes x, y, z taken from y, x, z"),
+        (EYE, EYE[[1, 0, 2]], "the accelerometers fit the motion with their axes x, y, z taken from y, x, z"),
         (
             np.diag([1.0, -1.0, 1.0]),
             np.diag([1.0, -1.0, 1.0]),
             "left-handed; forward, right, down are x, -y, z",
         ),
-        (I[[1, 0, 2]], I[[1, 0, 2]], "left-handed; forward, right, down are y, x, z"),
+        (EYE[[1, 0, 2]], EYE[[1, 0, 2]], "left-handed; forward, right, down are y, x, z"),
         (
             np.diag([1.0, -1.0, -1.0]),
             np.diag([1.0, -1.0, -1.0]),
             "forward, right, down are x, -y, -z of its axes",
         ),
         (TURNED, -TURNED, "are taken from -x, -y, z and the signs of the accelerometers are reversed"),
-        (I[[1, 0, 2]], np.diag([1.0, 1.0, -1.0]), "gyros from y, x, z, accelerometers from x, y, -z"),
+        (EYE[[1, 0, 2]], np.diag([1.0, 1.0, -1.0]), "gyros from y, x, z, accelerometers from x, y, -z"),
     ],
 )
 def test_axes_are_named_by_the_simplest_description(gyro, accel, told):
@@ -199,7 +199,7 @@ def test_axes_are_named_by_the_simplest_description(gyro, accel, told):
 
 def test_axes_that_the_motion_does_not_order_are_as_given():
     """Without a forward axis any heading agrees: nothing is wrong then."""
-    assert name_axes(I, I, UP, None).text == ""
+    assert name_axes(EYE, EYE, UP, None).text == ""
     assert name_axes(TURNED, TURNED, UP, None).text == ""
     assert "show gravity" in name_axes(TURNED, -TURNED, UP, None).text
 
@@ -398,7 +398,7 @@ def test_the_cost_of_a_hypothesis_is_the_likelihood_of_its_residuals():
     assert explained([0.1, 0.3]).cost == pytest.approx(total / 45.0)
     every = axis_search.list_axes()
     assert len(every) == 96
-    assert (every[0][0] == I).all()
+    assert (every[0][0] == EYE).all()
     assert {round(np.linalg.det(accel)) for _, accel in every} == {1, -1}
     assert sum(round(np.linalg.det(gyro)) for gyro, _ in every) == 0
     assert len({(tuple(gyro.ravel()), tuple(accel.ravel())) for gyro, accel in every}) == 96
@@ -408,7 +408,7 @@ def test_the_cost_of_a_hypothesis_is_the_likelihood_of_its_residuals():
     ("evidence", "vel_n", "found"), [(29.0, 10.0, False), (31.0, 10.0, True), (31.0, 0.1, False)]
 )
 def test_other_axes_are_taken_if_they_are_30_more_likely(monkeypatch, sound, evidence, vel_n, found):
-    """One assignment leaves only the noise of the receiver, which is no motion where the velocity is noise."""
+    """One assignment leaves only the noise of the receiver; where the velocity is noise it is not taken."""
     right, accel = axis_search.list_axes()[70]
     residual = 0.05 * np.sqrt(np.exp(2.0 * evidence / 45.0) - 1.0)
 

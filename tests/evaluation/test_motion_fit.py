@@ -158,7 +158,7 @@ def test_steps_are_no_longer_than_what_is_known_before_allows(stretches, monkeyp
 
 
 def test_a_step_after_which_the_fit_is_worse_is_shortened(stretches, monkeypatch):
-    """From a start where Gauss-Newton goes too far, the cost never rises, and the fit comes as close as from 0."""
+    """Where Gauss-Newton goes too far the cost never rises, and the fit comes as close as from 0."""
     costs, compare = [], motion_fit._compare
 
     def watch(*given):

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from bench.cli.command_line import main
+from bench.cli.new_files.log_changes import change_axes, list_changes, write_changes
 from bench.core.mathematics import rotation
-from bench.io.config.log_changes import change_axes, list_changes, write_changes
-from bench.io.config.log_tables import ImuTable, describe_frame
+from bench.io.config.log_tables import ImuTable, read_axes
 from bench.io.logs.rows import LogRows
 from bench.io.logs.sensor_axes import turn_axes
 from tests.exchange import drives
@@ -21,11 +21,13 @@ SIGNED = [np.eye(3)[RNG.permutation(3)] * RNG.choice([1.0, -1.0], 3)[:, None] fo
 
 
 def read(imu, raw):
-    """Return the rates and forces (N, 3) of a file in the axes that the keys of [imu] give, before a slant."""
-    frame = describe_frame(ImuTable(file="imu.csv", **imu), None)
-    frame.pop("time_offset")
-    rows = turn_axes(LogRows(np.arange(len(raw[0])) * 1.0, dict(zip(("gyro", "accel"), raw, strict=True))),
-                     SimpleNamespace(**frame))  # fmt: skip
+    """Return the rates and forces (N, 3) of a file in the axes that [imu] gives, before a misalignment."""
+    table = ImuTable(file="imu.csv", **imu)
+    names = ("axes", "gyro_axes", "accel_axes")
+    axes = {name: read_axes(getattr(table, name) or table.axes) for name in names}
+    values = dict(zip(("gyro", "accel"), raw, strict=True))
+    source = SimpleNamespace(**axes, gravity=table.sign == "gravity")
+    rows = turn_axes(LogRows(np.arange(len(raw[0])) * 1.0, values), source)
     mount = rotation.matrix(rotation.from_euler(*np.deg2rad(imu.get("mounting_deg", [0.0] * 3))))
     return [rows.values[name] @ mount.T for name in ("gyro", "accel")]
 
@@ -47,7 +49,7 @@ def test_keys_do_what_the_matrices_of_the_advice_do(start, k):
 def test_axes_behind_a_mounting_that_is_no_right_angle_have_no_names():
     assert change_axes({"mounting_deg": [0.0, 0.0, 30.0]}, np.diag([1.0, -1.0, 1.0]), np.eye(3)) == {}
     turned = change_axes({"mounting_deg": [0.0, 0.0, 30.0]}, *2 * [np.diag([-1.0, -1.0, 1.0])])
-    assert turned == {"mounting_deg": [0.0, 0.0, -150.0]}
+    assert turned == {"mounting_deg": [0.0, 0.0, 210.0]}
 
 
 TEXT = """title = "A log"  # kept
@@ -101,9 +103,9 @@ def spoil(columns):
 def test_apply_mends_a_log_with_three_mistakes(tmp_path, capsys, monkeypatch):
     """A second run has nothing left to apply."""
     monkeypatch.chdir(tmp_path)
-    drive = drives.drive()
-    drives.write_csv(tmp_path / "imu.csv", spoil(drives.imu_columns(drive)))
-    drives.write_csv(tmp_path / "gnss.csv", drives.gnss_columns(drive))
+    made = drives.sensed()
+    drives.write_csv(tmp_path / "imu.csv", spoil(drives.imu_columns(made["imu"])))
+    drives.write_csv(tmp_path / "gnss.csv", drives.gnss_columns(made["gnss"]))
     (tmp_path / "log.toml").write_text(
         '[imu]\nfile = "imu.csv"\n[gnss]\nfile = "gnss.csv"\nposition_m = [-0.6, 0.3, -1.0]\n'
         '[sensors.assumed]\nimu = "adis16475"\ngnss = "l1-code"\n'

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
+from bench.cli.new_files.log_changes import change_axes
 from bench.cli.new_files.log_starts import ChosenStart, choose_start
 from bench.cli.new_files.log_text import DATASHEETS, read_antenna, write_log
 from bench.core.files import durable
@@ -21,7 +22,6 @@ from bench.evaluation.motion.recorded_motion import Check, RecordedMotion
 from bench.evaluation.motion.rest_noise import assume_vibration
 from bench.evaluation.motion.validity import check_recording
 from bench.io.config.log import LogSpec, load_log
-from bench.io.config.log_changes import change_axes
 from bench.io.log_formats import FORMATS, find_format, guess_format
 from bench.io.logs import formats, found_datasheets, own_estimate
 from bench.io.logs.exporter_names import FORWARD_LEFT_UP

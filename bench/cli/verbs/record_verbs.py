@@ -10,6 +10,7 @@ from typing import Any
 from rich.console import Console
 
 from bench.cli import api, exchanging
+from bench.cli.new_files.log_advice import apply_advice
 from bench.cli.new_files.new_log import name_log, new_log
 from bench.cli.verbs import result_table
 from bench.cli.verbs.flight_verbs import (
@@ -20,7 +21,6 @@ from bench.cli.verbs.flight_verbs import (
     show_stages,
     write_first,
 )
-from bench.cli.verbs.log_advice import apply_advice
 from bench.cli.verbs.printing import print_findings, print_wrapped
 from bench.core.records.findings import FindingTable
 from bench.core.records.run_result import RunResult

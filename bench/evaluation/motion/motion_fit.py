@@ -245,7 +245,7 @@ def fit_motion(
     start[_ACCEL_GAIN] = guess_gain(accel)
     prior = np.diag(PRIOR_SD**-2)
 
-    def try_values(values: FloatArray) -> _Comparison:
+    def try_values(values: FloatArray) -> _FitAt:
         return _compare(stretches, integrate(stretches, t, gyro, accel, values), arm_b, values)
 
     best = try_values(start)
@@ -275,7 +275,7 @@ def fit_motion(
     return MotionFit(best.values, cov, best.rms, best.C_nb, best.heading_sd)
 
 
-class _Comparison(NamedTuple):
+class _FitAt(NamedTuple):
     """Values, and how well each segment fits with them."""
 
     values: FloatArray  # (15,)
@@ -292,7 +292,7 @@ def _compare(
     motion: tuple[FloatArray, ...],
     arm_b: FloatArray,
     values: FloatArray,
-) -> _Comparison:
+) -> _FitAt:
     """Return the residuals of all segments with the motion that `integrate` makes, and their derivatives."""
     u, U, C_sb, rate, u_dot = motion
     swing = np.einsum("kij,kj->ki", C_sb, np.cross(rate, arm_b + values[_ARM]))
@@ -321,7 +321,7 @@ def _compare(
     cost = 0.5 * float(free @ np.log(np.square(rms) + _NOISE**2)) + 0.5 * float(
         np.sum((values / PRIOR_SD) ** 2)
     )
-    return _Comparison(
+    return _FitAt(
         values,
         np.reshape(normals, (-1, len(NAMES), len(NAMES))),
         np.reshape(scores, (-1, len(NAMES))),

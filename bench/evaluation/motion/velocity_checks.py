@@ -159,6 +159,8 @@ def fit_shift(
     own = rate(best)
     slope = (rate(best - _STEP) - rate(best + _STEP)) / (2 * _STEP)
     product = float(np.vdot(own, seen))
+    if not product * product > 0.0:  # nothing moves
+        return np.nan, np.nan
     gain, inverse = product / float(np.vdot(seen, seen)), product / float(np.vdot(own, own))
     noises = own - gain * seen, own - seen / inverse  # either may be the noisy one
     pulls = [np.sum(slope * noise, axis=1) for noise in noises]

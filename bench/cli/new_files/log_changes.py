@@ -18,8 +18,8 @@ from bench.core.words.wording import as_toml
 from bench.io.config.log_tables import is_right_handed, read_axes
 
 _NEAR = 0.15  # relative difference within which a gain is that of another unit
-_RATES = {"rad_s": math.pi / 180.0, "deg_s": 180.0 / math.pi}  # unit of a column -> gain if it is the other
-_FORCES = {"m_s2": 1.0 / STANDARD_GRAVITY, "g": STANDARD_GRAVITY}
+_RATES = {"rad_s": math.pi / 180.0, "deg_s": 180.0 / math.pi}  # unit of a file -> gain if read in the other
+_FORCES = {"g": 1.0 / STANDARD_GRAVITY, "m_s2": STANDARD_GRAVITY}
 _DIGITS = 3
 
 

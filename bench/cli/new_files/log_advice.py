@@ -9,9 +9,9 @@ from typing import Any
 
 from rich.console import Console
 
+from bench.cli.new_files.log_changes import list_changes, write_changes
 from bench.core.files import durable
 from bench.core.words.exceptions import ConfigError
-from bench.io.config.log_changes import list_changes, write_changes
 from bench.pipeline import log_pipeline
 
 _ROUNDS = 3  # a second mistake may show only after the first is gone
