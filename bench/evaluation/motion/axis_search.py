@@ -70,7 +70,7 @@ def explain(
     antenna_b: FloatArray,
     one: Hypothesis,
     most: int | None = None,
-    iterations: int = 10,
+    iterations: int = 20,
 ) -> Explained | None:
     """Return the fit under a hypothesis, on all stretches or the ``most`` lively ones; None without any."""
     imu_t = motion.t + one.offset

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import ndtri, stdtrit
 
 from bench.core.compilation.compiled import kernel
 from bench.core.mathematics.arrays import FloatArray, IntArray
@@ -45,7 +46,8 @@ MOST_SEGMENTS = 150  # segments; those in which the velocity changes most are us
 _GAP = 0.5  # of the IMU inside a segment [s]
 _HALF = 0.05  # step of the derivative by time [s]
 _MARGIN = 1.0  # to the ends of the IMU record [s]: clocks may differ
-_SHORTER = 0.3  # factor of a step after which the fit is worse
+_FREE = 7  # steps that are taken even if the fit is worse after them
+_SHORTER = 0.3  # factor of a later step after which it is worse
 _ENOUGH = 0.01  # decrease of the cost after which an iteration is the last
 _NOISE = 0.05  # of the velocities of a receiver [m/s]: segments that fit better than this count alike
 
@@ -226,7 +228,7 @@ def fit_motion(
     gyro: FloatArray,
     accel: FloatArray,
     arm_b: FloatArray,
-    iterations: int = 10,
+    iterations: int = 20,
 ) -> MotionFit:
     """Fit all parameters.
 
@@ -239,7 +241,7 @@ def fit_motion(
     arm_b : (3,) array
         Antenna relative to the IMU as assumed [m], b.
     iterations : int
-        Most Gauss-Newton steps; those after which the fit is worse are shortened.
+        Most Gauss-Newton steps; late ones after which the fit is worse are shortened.
     """
     start = np.zeros(len(NAMES))
     start[_ACCEL_GAIN] = guess_gain(accel)
@@ -248,31 +250,38 @@ def fit_motion(
     def try_values(values: FloatArray) -> _FitAt:
         return _compare(stretches, integrate(stretches, t, gyro, accel, values), arm_b, values)
 
-    best = try_values(start)
-    step = np.zeros(len(NAMES))
-    for _ in range(iterations):
-        weights = 1.0 / (np.square(best.rms) + _NOISE**2)
-        pull = np.einsum("w,wi->i", weights, best.scores) - best.values / PRIOR_SD**2
-        normal = prior + np.einsum("w,wij->ij", weights, best.normals)
-        full = np.clip(np.linalg.inv(normal) @ pull, -_LONGEST * PRIOR_SD, _LONGEST * PRIOR_SD)
-        step = full if not step.any() else step
-        values = best.values + step
+    best = here = try_values(start)
+    factor = 1.0
+    for k in range(iterations):
+        weights = 1.0 / (np.square(here.rms) + _NOISE**2)
+        pull = np.einsum("w,wi->i", weights, here.scores) - here.values / PRIOR_SD**2
+        normal = prior + np.einsum("w,wij->ij", weights, here.normals)
+        step = np.clip(np.linalg.inv(normal) @ pull, -_LONGEST * PRIOR_SD, _LONGEST * PRIOR_SD)
+        values = here.values + factor * step
         values[_SHIFT] = np.clip(values[_SHIFT], _HALF - _MARGIN, _MARGIN - _HALF)  # within the record
         trial = try_values(values)
-        done = 0.0 <= best.cost - trial.cost < _ENOUGH
-        if trial.cost < best.cost:
-            best, step = trial, np.zeros(len(NAMES))
-        else:
-            step = _SHORTER * step
-        if done:
+        gained, best = best.cost - trial.cost, min(best, trial, key=lambda one: one.cost)
+        if factor == 1.0 and 0.0 <= gained < _ENOUGH:
             break
+        here = (
+            trial if k < _FREE else best
+        )  # the heading of the start may be that of noise: steps go on first
+        factor = 1.0 if k < _FREE or gained > 0.0 else _SHORTER * factor
     weights = 1.0 / (np.square(best.rms) + _NOISE**2)
     inverse = np.linalg.inv(prior + np.einsum("w,wij->ij", weights, best.normals))
     spread = weights[:, None] * best.scores
-    factor = len(spread) / max(len(spread) - 1, 1)
-    cov = inverse @ (factor * spread.T @ spread + prior) @ inverse
+    cov = inverse @ (_spread_factor(len(spread)) * spread.T @ spread + prior) @ inverse
     cov[np.diag_indices(len(cov))] = np.maximum(np.diag(cov), np.diag(inverse))
     return MotionFit(best.values, cov, best.rms, best.C_nb, best.heading_sd)
+
+
+def _spread_factor(count: int) -> float:
+    """Return by how much the scatter of some segments counts more, as few of them say little of it.
+
+    The 99 % quantile of Student's distribution, squared and in that of the normal one.
+    """
+    free = max(count - 1, 1)
+    return float(count / free * (stdtrit(free, 0.995) / ndtri(0.995)) ** 2)
 
 
 class _FitAt(NamedTuple):

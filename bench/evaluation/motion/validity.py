@@ -76,6 +76,11 @@ _SAME_CAUSE = {"turn_gain": "gyro_max_deg_s", "gravity_ratio": "force_gain"}
 def keep_causes(checks: list[Check]) -> list[Check]:
     """Return the checks without a second line on a unit that another line names."""
     wrong = {one.name for one in checks if not one.good}
+    frames = [one for one in checks if "gnss.velocity" in one.advice]
+    if len(frames) == 2 and np.array_equal(
+        frames[0].advice["gnss.velocity"], frames[1].advice["gnss.velocity"]
+    ):
+        return [one for one in checks if one not in frames]  # each takes back the other
     twice = {other for name, other in _SAME_CAUSE.items() if {name, other} <= wrong}
     return [one for one in checks if one.name not in twice]
 
