@@ -309,7 +309,7 @@ def write_table(rows: Iterable[dict[str, Any]], key: str) -> Iterator[str]:
         if row["nis"]:
             out.append(f"`{row[key]}` {', '.join(row['nis'])}")
     yield ""
-    yield f"Mean NIS out of its band: {'; '.join(out) or 'none'}."
+    yield f"Mean NIS over its expectation, if outside the 99.9 % band: {'; '.join(out) or 'none'}."
 
 
 def write_pools(rows: Sequence[dict[str, Any]], key: str) -> Iterator[str]:
