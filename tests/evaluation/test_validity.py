@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 from bench.core.mathematics import earth
 from bench.core.records.instruments import BaroData
 from bench.evaluation.motion import validity, velocity_checks
-from bench.evaluation.motion.recorded_motion import RecordedMotion
+from bench.evaluation.motion.recorded_motion import Check, RecordedMotion
 from bench.evaluation.motion.velocity_checks import variance_of_sum
 
 
@@ -195,3 +195,25 @@ def test_heights_of_a_short_climb(climb, ratio, told):
         assert one.value == pytest.approx(ratio)
         assert "(sd 0.100)" in one.text
         assert (told in one.text, one.good) == (True, told is None)
+
+
+def test_one_mistake_has_one_line():
+    """A unit shows in two checks, one is kept; two changes of a frame that take back each other are none."""
+
+    def check(name, good=False, **advice):
+        return Check(name, 1.0, name, good, advice)
+
+    def kept(*checks):
+        return [one.name for one in validity.keep_causes(list(checks))]
+
+    assert kept(check("gyro_max_deg_s"), check("turn_gain")) == ["turn_gain"]
+    assert kept(check("gyro_max_deg_s"), check("turn_gain", True)) == ["gyro_max_deg_s", "turn_gain"]
+    assert kept(check("gravity_ratio"), check("force_gain")) == ["gravity_ratio"]
+    up, over = np.diag([1.0, 1.0, -1.0]), np.eye(3)[[1, 0, 2]]
+    frames = [
+        check("velocity_axes", **{"gnss.velocity": up}),
+        check("velocity_ratio_down", **{"gnss.velocity": up}),
+    ]
+    assert kept(*frames) == []
+    frames[0] = check("velocity_axes", **{"gnss.velocity": over})
+    assert kept(*frames) == ["velocity_axes", "velocity_ratio_down"]
