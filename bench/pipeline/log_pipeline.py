@@ -26,6 +26,7 @@ from bench.evaluation.errors.reference_errors import compare
 from bench.evaluation.judging import Judged, judge_solution
 from bench.evaluation.metrics.outages import OutageDrift, make_drift_row, place_outages
 from bench.evaluation.motion import validity
+from bench.evaluation.motion.fix_reach import find_reachable
 from bench.evaluation.motion.motion_noise import assume_motion_noise
 from bench.evaluation.motion.recorded_motion import Check, RecordedMotion
 from bench.evaluation.motion.rest_noise import assume_rest_noise, assume_vibration
@@ -315,6 +316,7 @@ class Session:
             raise ConfigError(f"{spec.name}.toml: no usable fix after the start at {initial.t:.2f} s")
         if outside := spec.evaluation.describe_outside(last, "recording"):
             raise ConfigError(f"{spec.name}.toml: {outside}")
+        self.sound = find_reachable(imu, self.fixes)
         self.first, self.last = max(initial.t, spec.evaluation.begin), last
         self.observations = self._cut_observations()
 
@@ -341,10 +343,11 @@ class Session:
         return np.arange(np.ceil(self.initial.t / step), np.floor(self.last / step) + 1) * step
 
     def split_fixes(self) -> tuple[BoolArray, GnssFixes]:
-        """Return a mask (M,) of the fixes that filters get, and the withheld fixes: every n-th."""
+        """Return a mask (M,) of the fixes that filters get, and the withheld fixes: every n-th, if sound."""
         keep = np.ones(len(self.fixes), np.bool_)
         if self.spec.withhold:
             keep[self.spec.withhold - 1 :: self.spec.withhold] = False
+            keep |= ~self.sound
         return keep, self.fixes.take(~keep)
 
     def make_data(
@@ -406,6 +409,7 @@ class Session:
             outage = float(t[before]), float(t[before]) + duration
             end = int(np.searchsorted(t, outage[1] + SAME_INSTANT, "right")) - 1
             keep = (t <= t[before]) | (t > t[end])
+            end = int(np.flatnonzero(self.sound[: end + 1])[-1]) if self.sound[before:end].any() else end
             data = self.make_data(keep, self._list_ends(float(t[end]), duration), outage)
             solution = estimator.answer(one, label, data, self.initial)
             if self.reference is None:

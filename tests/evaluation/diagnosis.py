@@ -114,7 +114,10 @@ OWN: Mapping[str, Sequence[str]] = {
     "clock": ["imu_shift_s"],
     "far clock": ["imu_shift_s"],
     LATE: ["velocity_shift_s"],
-    "velocity axes or unit": ["velocity_axes", "velocity_ratio_down"],
+    "velocity axes or unit": [
+        "velocity_axes",
+        *(f"velocity_ratio_{axis}" for axis in ("north", "east", "down")),
+    ],
     "unit of gyros": ["turn_gain", "gyro_max_deg_s"],
     "unit of accelerometers": ["gravity_ratio", "force_gain"],
     "lever arm": ["arm_off_m"],
@@ -194,10 +197,10 @@ def _differ(a: Recorded, b: Recorded, one_way: bool, arm_text: str, late: float)
     vel = _gain(a.fixes.vel_n, b.fixes.vel_n)
     if late:
         vel = np.sign(vel) * (np.abs(vel) > 0.5 * np.abs(vel).max()) * min(1.0, 2.0 / np.abs(vel).max())
-        vel[2] = np.eye(3)[2]  # an oscillation says nothing
+        vel[2] = vel[:, 2] = np.eye(3)[2]  # an oscillation says nothing
     if np.abs(vel - np.eye(3)).max() > 0.25 and len(a.fixes.t) == len(b.fixes.t):
         found.append(f"velocity {vel.round(2).tolist()}")
-    if "does not show" not in arm_text:
+    if arm_text and "does not show" not in arm_text:
         shown = arm_text.partition(" at ")[2].partition(" m")[0].split(", ")
         known = np.array([one != "?" for one in shown])
         off = (b.antenna_b - turn @ a.antenna_b)[known]

@@ -75,7 +75,7 @@ def test_gravity_and_rates_at_rest_by_hand(axis, gain, tilt_deg):
     motion = RecordedMotion(t, gyro, accel, fix_t, lla, vel_n, np.deg2rad(3999.0))
     ratio, tilted, rate = validity.check_rest(motion)
     assert "at rest (30 s)" in ratio.text
-    assert (ratio.value, ratio.good) == (pytest.approx(gain), abs(gain - 1.0) < 0.02)
+    assert (ratio.value, ratio.good) == (pytest.approx(gain), abs(gain - 1.0) < 0.03)
     assert (tilted.value, tilted.good) == (pytest.approx(tilt_deg, abs=1e-5), tilt_deg < 20.0)
     assert f"{tilt_deg:.1f} deg off" in tilted.text
     assert ("mounting_deg" in tilted.text) == (not tilted.good)

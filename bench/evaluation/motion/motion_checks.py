@@ -20,7 +20,7 @@ from bench.evaluation.motion.recorded_motion import Check, RecordedMotion
 
 SIGMAS = 5.0
 """A deviation counts beyond this many of its standard deviations."""
-GRAVITY_OFF = 0.02
+GRAVITY_OFF = 0.03
 """Allowed relative error of the specific force [1]: more than the bias of usual IMUs."""
 RATE_OFF = 0.05
 """Allowed relative error of the angular rates [1]: more than the scale factor of any usual gyro."""

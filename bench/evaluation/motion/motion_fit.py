@@ -172,8 +172,13 @@ class Stretches:
         )
 
 
-def find_stretches(imu_t: FloatArray, t: FloatArray, lla: FloatArray, vel_n: FloatArray) -> Stretches:
-    """Return the segments of an IMU with times (N,) and a receiver with times (M,) and velocities, n."""
+def find_stretches(
+    imu_t: FloatArray, t: FloatArray, lla: FloatArray, vel_n: FloatArray, *, most: int | None = MOST_SEGMENTS
+) -> Stretches:
+    """Return the segments of an IMU with times (N,) and a receiver with times (M,) and velocities, n.
+
+    ``most``: the number of segments; those in which the velocity changes most are returned. None: all.
+    """
     if len(t) < _FEWEST or len(imu_t) < 2:
         return Stretches(
             np.zeros(1, np.int64), t[:0], np.empty((0, 3)), vel_n[:0], np.empty((0, 3, 3)), t[:0]
@@ -208,7 +213,7 @@ def find_stretches(imu_t: FloatArray, t: FloatArray, lla: FloatArray, vel_n: Flo
         vel_n[rows],
         np.vstack([np.empty((0, 3, 3)), *(one[3] for one in found)]),
         np.array([one[0] for one in found]),
-    ).take_liveliest(MOST_SEGMENTS)
+    ).take_liveliest(len(found) if most is None else most)
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,6 +19,7 @@ from bench.core.records.data import GnssFixes, ImuData
 from bench.core.records.instruments import INSTRUMENTS
 from bench.core.words.wording import format_number
 from bench.evaluation.motion.axis_search import AS_GIVEN
+from bench.evaluation.motion.fix_reach import find_reachable
 from bench.evaluation.motion.motion_checks import (
     GRAVITY_OFF,
     SIGMAS,
@@ -65,6 +66,7 @@ def check_recording(
             fitted, axes = check_motion(motion, np.asarray(antenna_b))
         rest = check_rest(replace(motion, accel=motion.accel @ axes.accel.T))
         checks += keep_causes([check_rates(motion), *rest, *velocity, *fitted])
+        checks += check_reach(imu, fixes) if all(one.good for one in (*velocity, *fitted)) else []
         if "baro" in instruments:
             checks += check_heights("baro", motion, instruments["baro"])
         return checks
@@ -149,6 +151,16 @@ def check_rest(motion: RecordedMotion) -> list[Check]:
     bias = np.rad2deg(motion.gyro[rows].mean(axis=0))
     text = f"imu: angular rate at rest {', '.join(f'{b:.3f}' for b in bias)} deg/s"
     return [*found, Check("rest_rate_deg_s", float(np.linalg.norm(bias)), text, True)]
+
+
+def check_reach(imu: ImuData, fixes: GnssFixes) -> list[Check]:
+    """Check for fixes to which the IMU does not lead; they evaluate no filter."""
+    wrong = np.flatnonzero(~find_reachable(imu, fixes))
+    if not len(wrong):
+        return []
+    many = f"{len(wrong)} of {len(fixes.t)} fixes do" if len(wrong) > 1 else f"1 of {len(fixes.t)} fixes does"
+    text = f"gnss: {many} not agree with the motion of the IMU, the first at {fixes.t[wrong[0]]:.2f} s"
+    return [Check("gnss_unreachable_fixes", float(len(wrong)), f"{text}: not used for the evaluation", False)]
 
 
 def check_heights(name: str, motion: RecordedMotion, record: Any) -> list[Check]:

@@ -1,0 +1,65 @@
+"""Find fixes that the motion of the IMU does not allow, so that they evaluate no filter.
+
+Between two fixes the gyros and accelerometers give the size of the gained velocity without an attitude, and
+the receiver gives the same size from its velocities and gravity. A receiver's glitch of tens of meters per
+second differs from it by far more than biases, noise and late velocities do.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bench.core.mathematics.arrays import BoolArray, FloatArray
+from bench.core.mathematics.earth import difference_n
+from bench.core.records.data import GnssFixes, ImuData
+from bench.evaluation.motion.motion_fit import NAMES, find_stretches, integrate
+from bench.evaluation.motion.recorded_motion import RecordedMotion
+
+_SIGMAS = 5.0
+_SPEED_OFF, _FORCE_OFF = 1.0, 0.7  # allowed beyond the noise: late velocities [m/s], biases [m/s^2]
+_HARDEST = 5.0  # half the acceleration within which positions follow velocities between fixes [m/s^2]
+_LONGEST = 10.0  # after which a fix counts again whatever came before [s]
+_MOST = 0.2  # share of the fixes beyond which units, axes or clocks are wrong, and not the fixes
+_NOISE = 0.1, 1.0  # least noise of a receiver's velocity [m/s] and position [m]
+
+
+def find_reachable(imu: ImuData, fixes: GnssFixes) -> BoolArray:
+    """Return whether each fix (M,) agrees with the motion since the sound fix before it.
+
+    Fixes without a velocity, or where the IMU is silent, are not tested: they count as sound. So do all if a
+    large share of them disagrees.
+    """
+    motion = RecordedMotion.from_records(imu, fixes)
+    sound = np.ones(len(fixes), np.bool_)
+    rows = np.flatnonzero(fixes.valid & np.isfinite(fixes.vel_n).all(axis=1))
+    rows = rows[np.diff(fixes.t[rows], prepend=-np.inf) > 0]
+    stretches = find_stretches(motion.t, fixes.t[rows], fixes.lla[rows], fixes.vel_n[rows], most=None)
+    if not len(stretches):
+        return sound
+    u = integrate(stretches, motion.t, motion.gyro, motion.accel, np.zeros(len(NAMES)))[0]
+    at = rows[np.searchsorted(fixes.t[rows], stretches.fix_t)]
+    sd_vel, sd_pos = (
+        np.maximum(np.sqrt(np.einsum("mii->mi", cov)[at].max(axis=1)), least)
+        for cov, least in zip((fixes.cov_vel_n, fixes.cov_pos_n), _NOISE, strict=True)
+    )
+    for cluster in stretches.slices:
+        last = cluster.start
+        for k in range(cluster.start + 1, cluster.stop):
+            span = float(stretches.fix_t[k] - stretches.fix_t[last])
+            gained = np.linalg.norm(stretches.gained[k] - stretches.gained[last])
+            off = abs(float(gained - np.linalg.norm(u[k] - u[last])))
+            limit = _SPEED_OFF + _FORCE_OFF * span + _SIGMAS * float(np.hypot(sd_vel[k], sd_vel[last]))
+            ahead = _find_lead(fixes, int(at[last]), int(at[k]))
+            far = _HARDEST * span**2 + _SIGMAS * float(np.hypot(sd_pos[k], sd_pos[last]))
+            sound[at[k]] = (off <= limit and ahead <= far) or span > _LONGEST
+            if sound[at[k]]:
+                last = k
+    return sound if (~sound).mean() < _MOST else np.ones_like(sound)
+
+
+def _find_lead(fixes: GnssFixes, early: int, late: int) -> float:
+    """Return how far the position of a fix is from that which both velocities lead to, horizontally [m]."""
+    span = fixes.t[late] - fixes.t[early]
+    moved: FloatArray = difference_n(fixes.lla[late], fixes.lla[early])
+    off = moved - 0.5 * span * (fixes.vel_n[early] + fixes.vel_n[late])
+    return float(np.hypot(off[0], off[1]))

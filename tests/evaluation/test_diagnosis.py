@@ -1,0 +1,79 @@
+"""Mistakes and their pairs in recordings of random motions are named; sound recordings have no line.
+
+A small draw for each; ``python -m tests.evaluation.diagnosis`` makes the whole table.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bench.evaluation.motion.fix_reach import find_reachable
+from tests.evaluation import diagnosis, random_motions
+from tests.evaluation.diagnosis import LATE, MISTAKES
+from tests.evaluation.random_motions import MOTIONS
+
+SEED = 20261129
+PAIRS = [
+    ("sign of accelerometers", "far clock"),
+    ("handedness", "unit of gyros"),
+    ("axes of gyros", "velocity axes or unit"),
+    (LATE, "axes of accelerometers"),
+    ("clock", "mounting"),
+]
+
+
+def judge(vehicle, seed, names):
+    """Return what becomes of mistakes in one drawn recording."""
+    r = np.random.default_rng([seed, 7])
+    late = float(r.uniform(0.1, 0.5)) if LATE in names else 0.0
+    sound = random_motions.draw(vehicle, seed)
+    spoiled = random_motions.draw(vehicle, seed, late) if late else sound
+    for name in names:
+        spoiled = MISTAKES[name](spoiled, r)
+    forward = sound.check()["forward_yaw_deg"].value is not None
+    return diagnosis.describe(sound, spoiled, names, forward, late)
+
+
+@pytest.mark.parametrize("vehicle", MOTIONS)
+def test_sound_recordings_have_no_line(vehicle):
+    for k in range(4):
+        checks = random_motions.draw(vehicle, SEED + k).check()
+        assert [one.text for one in checks.values() if not one.good] == []
+
+
+@pytest.mark.parametrize("name", MISTAKES)
+def test_a_mistake_is_named(name):
+    """Each in a motion that is drawn with it."""
+    vehicle = sorted(MOTIONS)[list(MISTAKES).index(name) % len(MOTIONS)]
+    assert judge(vehicle, SEED + 50, (name,)) == ("named", [])
+
+
+@pytest.mark.parametrize("names", PAIRS)
+def test_two_mistakes_are_named(names):
+    vehicle = ["car", "walk", "fixed wing", "boat", "fixed wing"][PAIRS.index(names)]
+    assert judge(vehicle, SEED + 60, names) == ("named", [])
+
+
+def test_a_missed_mistake_would_be_seen():
+    """The judge of these tests calls a recording with a mistake sound only if the advice mends it."""
+    sound = random_motions.draw("car", SEED)
+    spoiled = MISTAKES["handedness"](sound, np.random.default_rng(1))
+    assert diagnosis._differ(sound, spoiled, True, "", 0.0)
+    assert not diagnosis._differ(sound, diagnosis.follow(spoiled, spoiled.check()), True, "", 0.0)
+
+
+@pytest.mark.parametrize("vehicle", MOTIONS)
+def test_a_glitch_is_no_fix_and_sound_fixes_are(vehicle):
+    """Two fixes in a row 30 m/s and 40 m off, somewhere in the record."""
+    one = random_motions.draw(vehicle, SEED + 80)
+    assert find_reachable(one.imu, one.fixes).all()
+    begin = int(np.random.default_rng(SEED).integers(30, len(one.fixes.t) - 30))
+    vel, lla = one.fixes.vel_n.copy(), one.fixes.lla.copy()
+    vel[begin : begin + 2] += [24.0, -18.0, 0.0]
+    lla[begin : begin + 2, 0] += 40.0 / 6.37e6
+    found = find_reachable(one.imu, replace(one.fixes, vel_n=vel, lla=lla))
+    assert not found[begin : begin + 2].any()
+    assert found.sum() >= len(found) - 4
