@@ -49,7 +49,7 @@ from bench.core.words.exceptions import DONE, INTERRUPTED, NEGATIVE
 @jobs_option
 @click.option("--scheduler", metavar="ADDRESS", help="use the workers of this Dask scheduler")
 @out_option("folder for journal and tables  [default: campaigns/<profile>-<seed>]")
-@estimator_option("evaluate only this one, of the profile")
+@estimator_option("evaluate only this filter: one of the profile")
 @set_option
 @seed_option
 @click.option("--resume", is_flag=True, help="continue the campaign in the folder")
@@ -117,7 +117,7 @@ def campaign(sources: tuple[str, ...], as_json: bool, strict: bool, **options: A
 @click.argument("source", metavar="PROFILE|LOG.toml", shell_complete=completion.profile)
 @click.option("-e", "--estimator", required=True, metavar="NAME", help="filter to tune")
 @click.option(
-    "--log", is_flag=True, help="it is a log: its first half tunes, withheld fixes of the second check"
+    "--log", is_flag=True, help="tune on the first half of a log; check with withheld fixes of the second"
 )
 @click.option(
     "--goal",
@@ -139,7 +139,7 @@ def campaign(sources: tuple[str, ...], as_json: bool, strict: bool, **options: A
     type=click.IntRange(min=2),
     default=400,
     metavar="N",
-    help="most sets to try; status 1 if the search has not converged then",
+    help="largest number of sets to try; status 1 if the search has not converged by then",
 )
 @jobs_option
 @click.option("-o", "--out", type=FILE, default="tuned", metavar="DIR", help="folder for the datasheets")
@@ -175,7 +175,7 @@ def tune(source: str, as_json: bool, **options: Any) -> int:
 
 
 @commands.command()
-@click.option("-e", "--estimator", metavar="NAME", help="the one to evaluate")
+@click.option("-e", "--estimator", metavar="NAME", help="the filter to evaluate")
 @click.option("--against", default="loose-full", metavar="NAME", help="filter to compare with")
 @click.option("--label", metavar="NAME", help="label on the card  [default: class or program]")
 @click.option(
@@ -194,7 +194,7 @@ def tune(source: str, as_json: bool, **options: Any) -> int:
 @click.option("--verify", "verified", type=FILE, metavar="FILE", help="repeat random runs of a card")
 @click.option("--sensors", type=FILE, metavar="DIR", help="write the sensor data of the suite instead")
 @click.option("--require", "required", type=FILE, metavar="FILE", help="requirements to check")
-@click.option("--runs", type=FILE, metavar="DIR", help="keep the runs there  [default: cards/<label>-quick]")
+@click.option("--runs", type=FILE, metavar="DIR", help="folder for the runs  [default: cards/<label>-quick]")
 @click.option("--resume", is_flag=True, help="reuse finished runs")
 @seed_option
 @json_option("the card")

@@ -201,7 +201,7 @@ def guide(topic: str | None) -> int:
 
 @commands.command()
 @click.argument("path", required=False, type=FILE, metavar="[DIR|FILE.rrd]")
-@click.option("--web", is_flag=True, help="serve it to a browser on 127.0.0.1")
+@click.option("--web", is_flag=True, help="show the recording in a browser on 127.0.0.1")
 def view(path: Path | None, web: bool) -> int:
     """Open the newest result in the 3D viewer.
 
@@ -313,7 +313,7 @@ def compare(folders: tuple[Path, ...], out: Path | None, whole: bool, as_json: b
     metavar="DIR",
     help="folder of the baselines, one <profile>.json each",
 )
-@click.option("--runs", type=click.IntRange(min=2), metavar="N", help="runs: 20 to check, 80 to record")
+@click.option("--runs", type=click.IntRange(min=2), metavar="N", help="runs  [default: 20, or 80 to record]")
 @jobs_option
 @click.option("--record", is_flag=True, help="write new baselines")
 @click.option(

@@ -162,7 +162,7 @@ def allan(unit: str | None, log: Path | None, **options: Any) -> int:
     help="truth or solution:NAME, besides the sensors; repeat for more",
 )
 @click.option(
-    "--like", type=FILE, metavar="FILE", help="ulog: a log of your own firmware, whose definitions it takes"
+    "--like", type=FILE, metavar="FILE", help="ulog: a log of your own firmware, for the message definitions"
 )
 @force_option("export")
 def export(folder: Path, **options: Any) -> int:

@@ -55,7 +55,7 @@ class _Studies(click.Group):
 def study() -> None:
     """Choose sensors: requirement, drift, error budget.
 
-    bench study NAME --help lists the options of one. Results state what is drawn, intervals, and the
+    bench study NAME --help lists the options of a study. Results state what is drawn, intervals, and the
     command that makes them again.
 
     \b

@@ -152,7 +152,7 @@ class PieceFilter(SessionState):
             If the record ends before the alignment that was asked for.
         """
         if self.head is None:
-            raise EstimatorError(f"{self.use!r} no data yet: call update() first")
+            raise EstimatorError(f"{self.use!r} has no data yet: call update() first")
         with self._doubt_the_file():
             solution = self._take(self.head, last=True)
         self.finished = True
@@ -231,7 +231,7 @@ class PieceFilter(SessionState):
         if not same_array(head.antenna_b, piece.antenna_b):
             if self.passage is None:
                 raise EstimatorError(
-                    f"{self.use!r} cannot go over to another antenna before it has found its start"
+                    f"{self.use!r} cannot change to another antenna before its alignment has ended"
                 )
             self.head = replace(head, antenna_b=piece.antenna_b)
 

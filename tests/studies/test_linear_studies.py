@@ -246,8 +246,8 @@ def test_the_interval_of_one_run_knows_the_correlation_of_its_errors():
 
 def test_what_has_no_linear_model_is_refused(flight):
     for given, message in (
-        ({"estimator": "tight"}, "was asked for tight"),
-        ({"estimator": "smoother"}, "budget takes loose-15"),
+        ({"estimator": "tight"}, "not tight of short"),
+        ({"estimator": "smoother"}, "budget supports loose-15"),
         ({"units": "grade-9"}, "study budget: units: imu = 'grade-9' is not in the catalog"),
     ):
         with pytest.raises(ConfigError, match=message):

@@ -44,7 +44,7 @@ from bench.navigation.estimator import Estimator
 from bench.simulation import sensors
 
 STUDY = 6, "bound"
-QUESTION = "How far is each filter from the best linear one, on a flight?"
+QUESTION = "How far is each filter from the best linear filter, on a flight?"
 
 _PARTS = 4  # of the runs of a filter, so that all workers have something to do
 

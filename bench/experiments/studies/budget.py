@@ -42,7 +42,7 @@ from bench.navigation.models.loose_tight import Loose
 from bench.simulation import sensors
 
 STUDY = 5, "budget"
-QUESTION = "Which error of the sensors contributes what to the errors of a filter, at every time?"
+QUESTION = "How much does each sensor error contribute to the errors of a filter, at every time?"
 
 _PARTS = 8  # of the runs of a source, so that all workers have something to do
 _WIDE = 1.5  # an interval of a variance whose upper end is so many times its lower end squared tells nothing
@@ -58,7 +58,7 @@ class Options(UnitOptions):
     estimator: str | None = None
     """loosely coupled filter: label of the profile, or built-in name; default: the first of the profile"""
     runs: Count = 200
-    """runs of each source that matters"""
+    """runs of each error source that is not negligible"""
 
 
 def run(options: Options, work: StudyWorkers) -> Findings:
@@ -135,9 +135,9 @@ def _choose(profile: Profile) -> str:
             check_aiding(choice.label, one)
             return choice.label
     raise ConfigError(
-        "budget takes loose-15, loose-22, loose-mems, loose-full, baro-inertial or free-inertial, and "
-        f"{profile.name} was asked for {', '.join(one.label for one in profile.estimators)}; "
-        "--estimator names one"
+        "budget supports loose-15, loose-22, loose-mems, loose-full, baro-inertial and free-inertial, not "
+        f"{', '.join(one.label for one in profile.estimators)} of {profile.name}; "
+        "name a supported filter with --estimator"
     )
 
 

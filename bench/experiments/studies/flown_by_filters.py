@@ -44,7 +44,7 @@ from bench.simulation.flight.guidance.desired_path import measure_steered
 from bench.simulation.flight.legs.landing import Flare
 
 STUDY = 9, "closed-loop"
-QUESTION = "Where does the aircraft end that a filter flies, and how far off its path, by filter and unit?"
+QUESTION = "Where does the aircraft end its flight if a filter guides it, and how far is it from its path?"
 
 _SMALLEST = 1e-3  # misses below this are alike [m]
 
@@ -55,7 +55,7 @@ class Options(UnitOptions):
     profiles: Words
     """shipped profiles with ``[guidance]``, or .toml files of your own, separated by commas"""
     estimators: Words = ("loose-15", "loose-full")
-    """filters that steer; the others are compared with the first"""
+    """filters that guide the aircraft; each is compared with the first"""
     units: Words | None = None
     """IMUs of the catalog, or .toml files of your own; default: the IMU of the profile"""
     runs: Count = 10

@@ -32,7 +32,7 @@ from bench.experiments.studies.study import StudyWorkers, UnitOptions, Words, as
 from bench.simulation import sensors
 
 STUDY = 7, "observability"
-QUESTION = "Which of heading, tilt and biases do turns make observable?"
+QUESTION = "How much do turns improve the observability of heading, tilt and biases?"
 
 _LONG = 3.0  # a phase of the flight lasts at least so long [s]
 _BEFORE, _AFTER, _LATE = 240, 400, 1800  # of the reference flight [s]

@@ -74,7 +74,7 @@ from bench.pipeline import closed_loop
 from bench.simulation.flight.guidance.desired_path import measure_off_path
 
 STUDY = 10, "rnp"
-QUESTION = "Are accuracy, integrity, continuity and availability those that a procedure requires?"
+QUESTION = "Does navigation meet the accuracy, integrity, continuity and availability of a procedure?"
 
 _NM = 1852.0  # [m]
 _INTERVAL = 1.0  # between the epochs of a run [s]
@@ -91,10 +91,9 @@ class Options(UnitOptions):
     profiles: Words
     """shipped profiles, or .toml files of your own; legs ``waypoints`` and ``approach`` have tracks"""
     estimator: str = "tight"
-    """built-in name; it also steers if the profile has [guidance]"""
+    """built-in filter; it also guides the aircraft if the profile has [guidance]"""
     gnss: str | None = None
-    """receiver of the catalog instead of the one of the profile; ``tight`` requires one with [sky], such as
-    sky-l1"""
+    """receiver, if not of the profile; ``tight`` requires a receiver with [sky], such as sky-l1"""
     rnp_nm: Positive = 0.3
     """required navigation performance [nautical miles]"""
     alert_limit_m: Positive | None = None
@@ -104,7 +103,7 @@ class Options(UnitOptions):
     time_to_alert_s: Positive = 10.0
     """time within which an alert must come [s]"""
     continuity_s: Positive = 15.0
-    """duration of the operation that must not be broken off [s]"""
+    """duration of the operation that must not be interrupted [s]"""
     availability: _Probability = 0.95
     """fraction of the time that must have no alert; procedures require 0.95 to 0.997"""
     false_alarm: _Probability = FALSE_ALARM
@@ -116,7 +115,7 @@ class Options(UnitOptions):
     runs: Count = 60
     """flights, each with its own noise and turbulence"""
     hours: Positive | None = None
-    """flight hours at least, instead of --runs [h]"""
+    """smallest number of flight hours, instead of --runs [h]"""
 
 
 @dataclass(frozen=True, slots=True)

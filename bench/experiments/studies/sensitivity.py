@@ -49,11 +49,11 @@ class Options(UnitOptions):
 
     key: str
     values: Words | None = None
-    """values of KEY; default: a quarter to four times its own"""
+    """values of KEY; default: a quarter to four times the value of the profile"""
     estimators: Words | None = None
     """filters to evaluate; default: all of the profile"""
     runs: Count = 12
-    """runs of each value, at first"""
+    """initial number of runs of each value"""
     max_runs: Count = 24
     """largest number of runs, if two values cannot be separated"""
 

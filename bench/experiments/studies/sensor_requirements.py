@@ -35,7 +35,7 @@ from bench.io.config.library import find_datasheet
 from bench.navigation import mechanization
 
 STUDY = 1, "requirements"
-QUESTION = "What gyro and accelerometer error is allowed for a position error after an outage?"
+QUESTION = "Which gyro and accelerometer errors are allowed for a position error after an outage?"
 
 _UG, _DEG_H = 1e-6 * STANDARD_GRAVITY, DEG / HOUR
 _STEP = 0.1  # of the simulation [s]

@@ -348,11 +348,11 @@ class Passage(SessionState):
         """Use another antenna position (3,) [m], b, from now on."""
         options = self.filter.options
         if options.gnss and options.tight:
-            raise EstimatorError("'tight' cannot go over to another antenna: the filters of fixes can")
+            raise EstimatorError("'tight' cannot change to another antenna: loosely coupled filters can")
         if options.lever_arm_sd > 0:
             raise EstimatorError(
-                f"lever_arm_sd = {options.lever_arm_sd:g} estimates one antenna and cannot go over "
-                "to another; leave it out"
+                f"lever_arm_sd = {options.lever_arm_sd:g} estimates the position of one antenna "
+                "and cannot change to another; leave the option out"
             )
         self.antenna_b = self.run.antenna_b = antenna_b
 

@@ -107,7 +107,7 @@ class SteppedPassage(SessionState):
         """Take the next piece; return the answers to all that has come with it."""
         if not np.array_equal(self.antenna_b, piece.antenna_b):
             if self.flight.one_antenna:
-                raise EstimatorError("it cannot go over to another antenna: loose-* and ukf can")
+                raise EstimatorError("this filter cannot change to another antenna: loose-* and ukf can")
             self.antenna_b = piece.antenna_b
         self.schedule.take(piece, last=last)
         for sensor in self.aiding:

@@ -177,7 +177,9 @@ class BetweenGaps(SessionState):
         held = self.held
         if not same_array(self.head.antenna_b, piece.antenna_b):
             if self.pause is not None:
-                raise EstimatorError("it cannot go over to another antenna before it has started again")
+                raise EstimatorError(
+                    "the filter cannot change to another antenna before it has restarted after a gap"
+                )
             if held is not None:  # of the antenna before
                 assert self.filter is not None
                 self.filter.update(

@@ -136,7 +136,7 @@ def read_estimate(log: ULog, instance: int | None, undulation: float) -> OwnEsti
     local, attitude = find(log, f"{source}_local_position", number), find(log, f"{source}_attitude", number)
     if local is None or attitude is None:
         what = "of the autopilot" if instance is None else f"of instance {instance}"
-        raise ConfigError(f"no estimate {what}: {source}_local_position and {source}_attitude")
+        raise ConfigError(f"no estimate {what}: the log lacks {source}_local_position or {source}_attitude")
     selector = find(log, "estimator_selector_status")
     if instance is None and selector is not None:
         number = int(np.median(np.asarray(selector["primary_instance"])))

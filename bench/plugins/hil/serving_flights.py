@@ -34,7 +34,7 @@ PUBLIC = "bench.plugins.hil.serving"
 
 @click.command()
 @click.argument("profile", shell_complete=completion.profile)
-@click.option("--port", type=click.IntRange(0, 65535), help="0 takes a free one  [default: 5700]")
+@click.option("--port", type=click.IntRange(0, 65535), help="port; 0 takes a free one  [default: 5700]")
 @click.option("--bind", default="127.0.0.1", metavar="IP", help="address to wait at")
 @click.option("--allow-remote", "remote", is_flag=True, help="permit clients of other machines")
 @click.option(
@@ -51,13 +51,19 @@ PUBLIC = "bench.plugins.hil.serving"
     help="largest speed, as a multiple of real time; 0: lock-step without a limit",
 )
 @click.option("--patience", type=float, default=60.0, metavar="S", help="longest silence of the client")
-@click.option("--mavlink", is_flag=True, help="the client is an autopilot as PX4; it commands, port 4560")
 @click.option(
-    "--channels", metavar="LIST", help="what it moves  [default: aileron=-6,elevator=-8,rudder=-3,throttle=5]"
+    "--mavlink",
+    is_flag=True,
+    help="the client is an autopilot such as PX4 that moves the controls, port 4560",
 )
-@click.option("--truth", is_flag=True, help="send it the truth, too: HIL_STATE_QUATERNION")
+@click.option(
+    "--channels",
+    metavar="LIST",
+    help="controls that the autopilot moves  [default: aileron=-6,elevator=-8,rudder=-3,throttle=5]",
+)
+@click.option("--truth", is_flag=True, help="also send the truth to the client: HIL_STATE_QUATERNION")
 @out_option("folder for the results  [default: runs/<profile>-<seed>-served]")
-@estimator_option("evaluate only this one, of the profile")
+@estimator_option("evaluate only this filter: one of the profile")
 @set_option
 @seed_option
 @click.option("--run", "draw", type=click.IntRange(min=0), default=0, metavar="K", help="the K-th run")

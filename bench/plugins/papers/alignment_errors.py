@@ -43,7 +43,7 @@ from bench.plugins.papers.attitude_errors import (
 from bench.plugins.papers.mechanizations.error_integral import quaternion_error
 from bench.plugins.papers.vector_matching import match_vectors, misalignment
 
-QUESTION = "What do errors of an alignment cost on a route, how do they propagate, and what shows them?"
+QUESTION = "What position error do alignment errors cause, how do they propagate, and what observes them?"
 
 _ROWS = 9  # epochs of the course in the table
 _STEP = 0.01  # of the quaternions [s]
@@ -56,9 +56,9 @@ class Options(StudyOptions):
     heading_deg: Positive = 0.1
     """error of the heading alignment [deg]"""
     lengths_km: Numbers = (50.0, 100.0, 300.0, 1000.0, 3000.0)
-    """legs [km]"""
+    """lengths of the legs [km]"""
     cross_track_m: Positive = 1000.0
-    """allowed cross-track error at their end [m]"""
+    """allowed cross-track error at the end of the leg [m]"""
     lat_deg: Annotated[float, Field(ge=-80, le=80)] = 45.0
     """latitude at the start of the course [deg]"""
     course_deg: Annotated[float, Field(ge=-360, le=360)] = 50.0

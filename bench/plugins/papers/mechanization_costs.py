@@ -30,7 +30,7 @@ from bench.plugins.papers.mechanizations.earth_series import EarthModel
 from bench.plugins.papers.mechanizations.solving import FRAMES, IntervalMotion, Rates, navigate
 from bench.simulation.flight.closed_form import SwingingFlight
 
-QUESTION = "What do frame, task rates, attitude algorithm and series of a strapdown cost in meters and time?"
+QUESTION = "How much error and time do frame, task rates, attitude algorithm and series of a strapdown cost?"
 
 _TINY = 1e-11  # error of the angular acceleration that stays linear for an hour [rad/s^2]
 _VECTOR, _PICARD = "rotation-vector", "two-quaternions"
@@ -54,7 +54,7 @@ class Options(StudyOptions):
     bases_m: Numbers = (0.2, 0.5, 1.0)
     """distances of opposite accelerometers without gyros [m]"""
     accel_bias_ug: Positive = 10.0
-    """bias of one of them [ug]"""
+    """bias of one accelerometer [ug]"""
 
 
 class AlgorithmCosts(NamedTuple):

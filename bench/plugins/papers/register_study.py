@@ -12,7 +12,7 @@ from bench.experiments.studies.study import StudyOptions, StudyWorkers
 from bench.plugins.papers.register_measures import RowFinding
 from bench.plugins.papers.register_rows import ROWS
 
-QUESTION = "Which rows of the sources' register hold here, and by what number?"
+QUESTION = "Which rows of the register of source equations does bench fulfill, and with which values?"
 
 _PARTS = (  # last row, name, title: tables that a terminal shows whole
     (12, "mechanizations", "Mechanizations, #1 to #12"),
@@ -26,7 +26,7 @@ class Options(StudyOptions):
     """Options of the study."""
 
     row: Annotated[int, Field(ge=0, le=len(ROWS))] = 0
-    """a row alone; 0 for all"""
+    """the only row to compute; 0 for all rows"""
 
 
 def run(options: Options, work: StudyWorkers) -> Findings:

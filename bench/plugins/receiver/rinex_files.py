@@ -137,7 +137,7 @@ def _place_in_time(o: GnssObservations, out: ExportData, midnight: float) -> tup
     far = np.abs(known_t[np.minimum([(after - 1).clip(0), after], last)] - t).min(axis=0) > _NEAR
     keep = ~same & ~far
     if not keep.any():
-        raise ExportError(f"no epoch with ranges is within {_NEAR:g} s of a fix: the place of none is known")
+        raise ExportError(f"no epoch with ranges is within {_NEAR:g} s of a fix, so no position is known")
     first, count, t = first[keep], count[keep], t[keep]
     rows = np.concatenate([np.arange(a, a + n) for a, n in zip(first, count, strict=True)])
     pos_e = np.column_stack([np.interp(t, known_t, column) for column in earth.to_ecef(lla).T])

@@ -238,7 +238,7 @@ def test_epochs_whose_place_nothing_tells_are_left_out_with_a_word(flown, tmp_pa
     assert "left out" not in " ".join(rows.notes)
     assert len(np.unique(back.t)) == (seen < 60.5).sum()
     none = replace(fixes, t=fixes.t + 1000.0)
-    with pytest.raises(bench.core.words.exceptions.ExportError, match="the place of none is known"):
+    with pytest.raises(bench.core.words.exceptions.ExportError, match="so no position is known"):
         export(tmp_path, replace(sensed.data, fixes=none), sensed.initial)
 
 

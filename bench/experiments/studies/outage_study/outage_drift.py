@@ -73,9 +73,9 @@ class Options(FlightOptions):
     outages_s: Durations = (10.0, 30.0, 60.0, 120.0, 300.0, 600.0)
     """times since the start of the outage; the longest is flown [s]"""
     error_m: Positive = 5.0
-    """drift whose time is computed [m]"""
+    """drift for which the time is computed [m]"""
     estimator: str = "loose-full"
-    """the filter, a built-in one"""
+    """built-in filter"""
     gnss: str | None = None
     """receiver, from the catalog or a file; default: l1-code, or the receiver of the profile"""
     runs: Count = 10

@@ -75,9 +75,9 @@ class Options(FlightOptions):
     most: Positive | None = None
     """largest allowed value of the metric in 95 % of the runs, in addition to each [[requirement]]"""
     runs: Count = 6
-    """runs of each unit on each flight, at first"""
+    """initial number of runs of each unit on each flight"""
     max_runs: Count | None = None
-    """and at most, where something is undecided; left out: 24, or as many as can show what is required (59
+    """largest number of runs, for undecided results; left out: 24, or as many as can show the requirement (59
     for 95 %)"""
 
 
