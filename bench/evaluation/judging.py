@@ -1,4 +1,4 @@
-"""From a solution, and what is known of the motion, to errors, metrics and a verdict."""
+"""Evaluation of a solution: errors, metrics and a verdict from the solution and the known motion."""
 
 from __future__ import annotations
 
@@ -38,14 +38,14 @@ class Judged:
         return cls(label, errors, add_verdict(label, values, *rest), values, *rest)
 
     def explain(self, found: Mapping[str, Any]) -> Judged:
-        """Return the verdict with what was found of its causes."""
+        """Return the verdict with the causes that were found."""
         return self.make(self.label, self.errors, {**self.values, **found}, self.coverage, self.required)
 
 
 def measure_solution(
     solution: NavSolution, known: Known, data: SensorData | None, evaluation: EvaluationWindow, **facts: Any
 ) -> tuple[ErrorSeries, dict[str, Any]]:
-    """Return the errors and metrics of a solution; ``facts`` are what `run_metrics.measure` takes of a run.
+    """Return the errors and metrics of a solution; ``facts`` are arguments of `run_metrics.measure`.
 
     Parameters
     ----------

@@ -1,1 +1,1 @@
-"""Why a run is not consistent: the filter runs again without each thing that may be to blame."""
+"""Causes of an inconsistent run: the filter runs again without each possible cause."""

@@ -64,7 +64,7 @@ Removal = Callable[[SensorsSpec], SensorsSpec]
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """One thing that may be the cause."""
+    """One possible cause of an inconsistent run."""
 
     words: str
     group: str  # of those that are tried together first
@@ -74,7 +74,7 @@ class Candidate:
 
 
 def list_candidates(spec: SensorsSpec, unmodeled: Collection[str]) -> list[Candidate]:
-    """Return all that may be the cause of an inconsistent run.
+    """Return all possible causes of an inconsistent run.
 
     Parameters
     ----------
@@ -125,7 +125,7 @@ def _list_errors(spec: SensorsSpec, unmodeled: Collection[str]) -> Iterator[Cand
 
 
 def _name_triad_errors(title: str) -> dict[str, tuple[str, ...]]:
-    """Return the errors of a triad as filters name them, and the figures of each."""
+    """Return the error names of a triad that filters use, each with the datasheet values of this error."""
     found: dict[str, tuple[str, ...]] = {}
     for name, declared in triad_figures_of(TriadSpec).items():
         if declared.error:
@@ -134,7 +134,7 @@ def _name_triad_errors(title: str) -> dict[str, tuple[str, ...]]:
 
 
 def _list_other_figures(spec: SensorsSpec, named: Collection[str]) -> Iterator[Candidate]:
-    """Yield the figures that are assumed otherwise than they are on board, but for errors that are named."""
+    """Yield the datasheet values that filters assume differently from the simulation; skip named errors."""
     taken = {
         (part, name)
         for part, title in TRIADS.items()
@@ -170,7 +170,7 @@ def _list_other_figures(spec: SensorsSpec, named: Collection[str]) -> Iterator[C
 
 
 def _compare(spec: SensorsSpec, part: str, names: Collection[str], words: str) -> Iterator[Candidate]:
-    """Yield the candidate of some figures of an aiding sensor if they are assumed otherwise."""
+    """Yield a candidate if filters assume other values of an aiding sensor than the simulation has."""
     own, other = getattr(spec, part), getattr(spec.assumed, part)
     if own is None or other is None:
         return
@@ -186,7 +186,7 @@ def _figure(triad: TriadSpec, name: str) -> tuple[Any, tuple[Any, ...]]:
 def _change_triad(
     part: str, names: Collection[str], other: TriadSpec | None, spec: SensorsSpec
 ) -> SensorsSpec:
-    """Return sensors with some figures of a triad as in another triad; None: without them."""
+    """Return sensors with some values of a triad copied from another triad; None switches the errors off."""
     own: TriadSpec = getattr(spec.imu, part)
     other = TriadSpec() if other is None else other
     axes = [one for one in own.axes or () if one.name not in names]

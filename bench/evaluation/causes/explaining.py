@@ -27,7 +27,7 @@ LOST = dict.fromkeys(TITLES, BlockNees(3, np.inf, 0.0, np.inf, 0.0))
 
 @dataclass(frozen=True, slots=True)
 class DrawnRun:
-    """One run of the sensors on a flight, and what is evaluated of it."""
+    """One run of the sensors on a flight, with the settings of its evaluation."""
 
     truth: Trajectory
     spec: SensorsSpec

@@ -1,4 +1,4 @@
-"""Search for the causes of an inconsistent run: which of the candidates, taken away, makes it consistent.
+"""Search for the causes of an inconsistent run: the candidates without which the run is consistent.
 
 The measure is the excess NEES of the block whose covariance is broken, mean NEES less its states. A candidate
 is a cause if the run without it has lost `LEAST` of the excess, together with all that take nearly as much as
@@ -40,7 +40,7 @@ Measure = Callable[[SensorsSpec], Mapping[str, BlockNees]]
 
 @dataclass(frozen=True, slots=True)
 class SearchStep:
-    """Candidates that were named together, and what the broken block is with and without them."""
+    """Candidates that were named together, and the NEES of the inconsistent block with and without them."""
 
     named: tuple[Candidate, ...]
     block: str
@@ -66,7 +66,7 @@ class Causes:
 
 @dataclass
 class _Trials:
-    """The filter on the sensors without some candidates; each set is run once."""
+    """Runs of the filter without some candidates; each set of candidates is run once."""
 
     spec: SensorsSpec
     measure: Measure
@@ -124,7 +124,7 @@ def find_causes(
 def _name(
     trials: _Trials, rest: Sequence[Candidate], removed: Sequence[Candidate], block: str
 ) -> list[Candidate]:
-    """Return the candidates that take the most of the excess of a block, if it is enough."""
+    """Return the candidates that explain most of the excess NEES of a block, if they explain enough of it."""
 
     def take(more: Sequence[Candidate]) -> float:
         return _share(trials.run(removed)[block], trials.run([*removed, *more])[block])
@@ -147,7 +147,7 @@ def _name(
 
 
 def _share(before: BlockNees, after: BlockNees) -> float:
-    """Return the part of the excess that is gone."""
+    """Return the fraction of the excess NEES that disappeared."""
     if not np.isfinite(before.mean):
         return float(np.isfinite(after.mean))
     return 1.0 - max(after.excess, 0.0) / before.excess if before.excess > 0 else 0.0
@@ -177,7 +177,7 @@ def describe_causes(causes: Causes, advice: str) -> str:
 
 
 def advise(choice: EstimatorChoice, specs: AssumedSpecs, named: Collection[Candidate], sky: bool) -> str:
-    """Return the least built-in filter that has states for all errors that are named, in words.
+    """Return the name of the smallest built-in filter with states for all named errors, in a sentence.
 
     Parameters
     ----------

@@ -1,1 +1,1 @@
-"""Does the covariance describe the errors: NEES, NIS and the verdict."""
+"""Consistency of a filter: does the covariance describe the errors? NEES, NIS and the verdict."""

@@ -34,7 +34,7 @@ class BlockNees:
 
     @property
     def excess(self) -> float:
-        """By how much the mean exceeds its expected value."""
+        """Mean NEES minus its expected value."""
         return self.mean - self.states
 
     @property

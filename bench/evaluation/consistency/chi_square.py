@@ -65,7 +65,7 @@ def count_independent(deviation: FloatArray) -> float:
 
 
 def _sum_pairs(series: FloatArray) -> float:
-    """Return the sum of the autocorrelation over pairs of lags, as long as their sum is positive."""
+    """Return the sum of the autocorrelation over pairs of lags, up to the first pair with a negative sum."""
     count = len(series)
     for most in (count // 4, count - 1):  # lag; most sums end in the first quarter
         length = fast_length(count + most)  # so that the end of the series does not meet its start
@@ -81,7 +81,7 @@ def _sum_pairs(series: FloatArray) -> float:
 
 
 def fast_length(least: int) -> int:
-    """Return an even length, a power of two times 1, 3 or 5, that a Fourier transform takes fast."""
+    """Return an even length with a fast Fourier transform: a power of two times 1, 3 or 5."""
     return min(odd << max(-(-least // odd) - 1, 1).bit_length() for odd in (1, 3, 5))
 
 

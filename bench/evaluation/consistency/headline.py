@@ -87,14 +87,14 @@ class Headline(NamedTuple):
 
 
 def judge_look(word: str, values: Mapping[str, Any] | None = None) -> VerdictLook:
-    """Return the look of a verdict; a covariance that holds and is of no use is a warning."""
+    """Return the color class of a verdict; a consistent solution with a large error is a warning."""
     look = find_look(word)
     useless = look.kind == "good" and values is not None and find_far_off(values)
     return LOOKS[verdict.UNDERCONFIDENT] if useless else look
 
 
 def find_best(measured: Mapping[str, Mapping[str, Any]]) -> str:
-    """Return the label of the first filter whose covariance holds and is of use, or of the first of all."""
+    """Return the label of the first consistent filter without a large error, or of the first filter."""
     looks = {label: judge_look(str(one.get("verdict", "")), one).kind for label, one in measured.items()}
     good = [label for label, kind in looks.items() if kind == "good"]
     return next(iter([*good, *looks]), "")
@@ -129,7 +129,7 @@ def make_headline(label: str, values: Mapping[str, Any], events: Events | None =
 
 
 def list_stops(events: Events) -> list[str]:
-    """Return where a solution stopped, was reset or ended, each with its reason."""
+    """Return the times at which a solution paused, was reset or ended, each with the reason."""
     rows = [row for kind in ("restart", "reset", "ended") for row in events.select(kind)]
     return [f"{begun:g} to {end:g} s: {text}" for begun, end, text in rows]
 
@@ -140,7 +140,7 @@ def _describe_stops(events: Events) -> str:
 
 
 def _describe_path(values: Mapping[str, Any]) -> str:
-    """Return how far a flight that it flew was off its path; "" if it flew none."""
+    """Return the path error of the flight that the filter guided; "" if it guided none."""
     off = [values.get(f"{part}_across_max_m") for part in ("tse", "fte", "nse")]
     far = [format_distance(value) for value in off if value is not None]
     if len(far) < len(off):
@@ -187,7 +187,7 @@ def _list_figures(values: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _list_drifts(values: Mapping[str, Any]) -> Iterator[str]:
-    """Yield the outage with the largest growth beside what is normal, and the end of a run without fixes."""
+    """Yield the outage with the largest drift over its prediction, and the final error without fixes."""
     grown = {
         name.split("_")[1]: value
         for name, value in values.items()
@@ -205,7 +205,7 @@ def _list_drifts(values: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _describe_end(values: Mapping[str, Any]) -> str:
-    """Return how far a run without horizontal aiding is off at its end; "" of any other run."""
+    """Return the final horizontal error of a run without horizontal aiding; "" for any other run."""
     end, most = values.get("inertial_end_h_m"), values.get("inertial_predicted_95_h_m")
     if end is None or most is None:
         return ""

@@ -1,4 +1,4 @@
-"""The logarithmic score of a covariance: its mean is least if the covariance describes the errors.
+"""Logarithmic score of a covariance; its mean is smallest if the covariance describes the errors.
 
 Dawid and Sebastiani, Coherent dispersion criteria for optimal experimental design, Annals of Statistics 27,
 1999: ``(e' P^-1 e + ln det P) / 2`` is proper for mean and covariance, whatever the distribution. NEES alone
@@ -16,7 +16,7 @@ from bench.evaluation.errors.error_series import BLOCKS, claimed_blocks
 
 
 def score_claims(errors: ErrorSeries, solution: NavSolution) -> FloatArray:
-    """Return the score of each epoch (M,) [1], of the blocks with a covariance, in SI units.
+    """Return the score of each epoch (M,) [1], computed in SI units from the blocks with a covariance.
 
     NaN where the covariance is not positive definite; all of them where nothing is reported.
     """

@@ -16,7 +16,7 @@ _DRAWN = 16  # largest eigenvalues whose squares are drawn; the others add their
 
 
 def find_band(t: FloatArray, constant: float = 0.0) -> tuple[float, float]:
-    """Return between which the mean NEES/3 of 95 % of records is.
+    """Return the interval that contains the mean NEES/3 of 95 % of records.
 
     The mean of squares of normal variables with a correlation matrix R (M, M) is the sum of its eigenvalues
     over M, each times the square of an independent one; the band is that of draws of these, three for each.

@@ -114,7 +114,7 @@ def _show_nis(sensor: str, values: Mapping[str, Any]) -> str:
 
 
 def _list_ranges(measured: Measured, sensor: str) -> list[str]:
-    """Return the ranges of the mean NIS of a sensor, of each filter that has one."""
+    """Return the range of the mean NIS of a sensor for each filter that uses the sensor."""
     bounds = [find_bounds(f"{_NIS}{sensor}", values) or (None, None) for values in measured.values()]
     return [
         f"{format_number(low, 2)}-{format_number(high, 2)}"
@@ -124,7 +124,7 @@ def _list_ranges(measured: Measured, sensor: str) -> list[str]:
 
 
 def _find_detection(values: Mapping[str, Any]) -> str:
-    """Return after what time the fault with the largest error was detected."""
+    """Return the delay until the fault with the largest error was detected."""
     number = find_worst_fault(values)
     if values.get(f"fault_{number}_detected") is None:
         return "-"

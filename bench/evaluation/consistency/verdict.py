@@ -205,7 +205,7 @@ def _find_wrong_innovations(values: Mapping[str, Any]) -> tuple[list[str], list[
 
 
 def _describe_innovations(names: Sequence[str], values: Mapping[str, Any]) -> str:
-    """Return the NIS of sensors, each with the end of its band that it is beyond."""
+    """Return the NIS of each sensor with the limit that it exceeds."""
     found = []
     for name in names:
         mean, low, high = (values[f"nis_{part}_{name}"] for part in ("mean", "low", "high"))
@@ -215,7 +215,7 @@ def _describe_innovations(names: Sequence[str], values: Mapping[str, Any]) -> st
 
 
 def _judge_by_innovations(label: str, values: Mapping[str, Any]) -> _Judgment:
-    """Evaluate an estimate that has used every fix, without a truth: its innovations are the only witness."""
+    """Evaluate an estimate that has used every fix by its innovations, because no truth is available."""
     loud, quiet = _find_wrong_innovations(values)
     used = "it has used every fix, so no fix can evaluate it"
     if loud:
@@ -248,7 +248,7 @@ def format_nees(value: float) -> str:
 
 
 def describe_outside(values: Mapping[str, Any]) -> str:
-    """Return which errors are outside 3 sigma too long, and for how much of the time; the worst first."""
+    """Return the errors that are too often outside 3 sigma, with the fraction of the time, largest first."""
     found = {}
     for axis, words in _AXES.items():
         name = f"coverage_3sigma_{axis}"
@@ -264,7 +264,7 @@ def describe_outside(values: Mapping[str, Any]) -> str:
 
 
 def find_far_off(values: Mapping[str, Any]) -> str:
-    """Return how large the error of a consistent solution of little use is; empty if it is small.
+    """Return the size of the error of a consistent solution in words; empty if the error is small.
 
     The limits are those of `check_convergence`.
     """
@@ -282,12 +282,12 @@ def find_far_off(values: Mapping[str, Any]) -> str:
 
 
 def _tell_why(values: Mapping[str, Any]) -> str:
-    """Return what was found out about a broken covariance, after a space."""
+    """Return the causes found for an inconsistent covariance, after a space."""
     return f" {values['why_text']}" if values.get("why_text") else ""
 
 
 def _explain(values: Mapping[str, Any]) -> str:
-    """Return why errors are larger than reported, if that is known; else the block with the largest error."""
+    """Return the cause of errors larger than reported; if unknown, the block with the largest error."""
     if why := _tell_why(values):
         return why
     ratios = {block: values.get(f"error_over_sigma_{block}") for block in TITLES}
@@ -299,7 +299,7 @@ def _explain(values: Mapping[str, Any]) -> str:
 
 
 def describe_accuracy(values: Mapping[str, Any]) -> str:
-    """Return the horizontal error and what is reported, or the tilt of a filter without position."""
+    """Return the actual and the reported horizontal error; for a filter without position, the tilt error."""
     error, claimed = values.get("pos_rmse_h_m"), values.get("pos_sigma_h_m")
     if error is None:
         tilt = values.get("tilt_rmse_deg")
@@ -311,7 +311,7 @@ def describe_accuracy(values: Mapping[str, Any]) -> str:
 
 
 def judge_drift(label: str, values: Mapping[str, Any]) -> list[str]:
-    """Return a sentence for each outage, and for a run without horizontal aiding, if the law is known."""
+    """Return a sentence about each outage or a run without horizontal aiding, if a predicted drift exists."""
     found = []
     for name, most in values.items():
         if name.startswith("outage_") and name.endswith("_predicted_95_h_m"):
@@ -341,7 +341,7 @@ def compare_drift(value: float, most: float) -> str:
 
 
 def format_distance(meters: float) -> str:
-    """Return a distance as a reader needs it: to a decimal, below a meter with two digits.
+    """Format a distance with one decimal, or with two digits below one meter.
 
     Examples
     --------
@@ -353,7 +353,7 @@ def format_distance(meters: float) -> str:
 
 
 def round_figure(value: float) -> str:
-    """Return a number to a decimal, below one with two digits, from a hundred on without decimals."""
+    """Format a number with one decimal, with two digits below 1, and without decimals from 100 on."""
     if not np.isfinite(value):
         return "without bound"
     size = abs(value)
@@ -363,5 +363,5 @@ def round_figure(value: float) -> str:
 
 
 def format_share(part: float) -> str:
-    """Return a part of 1 in percent, below a percent with a decimal."""
+    """Format a fraction in percent, with one decimal below 1 %."""
     return f"{100.0 * part:.0f} %" if part > 0.01 else f"{100.0 * part:.1f} %"

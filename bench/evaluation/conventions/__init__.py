@@ -1,1 +1,1 @@
-"""Wrong conventions that a solution may be given in."""
+"""Conventions that the author of a solution may have mistaken."""

@@ -1,4 +1,4 @@
-"""Search for the convention that a solution of broken covariance is given in by mistake.
+"""Search for a mistaken convention that explains the errors of an inconsistent solution.
 
 A convention is named only if undoing it, with the same constants in both halves of the flight, brings the
 NEES of the blocks that it changes into their band or down tenfold, by more than its constants do by chance.
@@ -67,7 +67,7 @@ class Mistake:
 def find_mistakes(
     truth: Trajectory, solutions: Sequence[NavSolution], antenna_b: FloatArray, begin: float
 ) -> dict[str, Any]:
-    """Return which wrong conventions the metrics of inconsistent solutions look like; empty for none.
+    """Return the mistaken conventions that explain the errors of inconsistent solutions; empty for none.
 
     Parameters
     ----------
@@ -157,7 +157,7 @@ def is_consistent(found: dict[str, BlockNees]) -> bool:
 def search(
     truth: Trajectory, answers: Answers, claimed: Sequence[str], conventions: Sequence[Convention]
 ) -> list[Mistake]:
-    """Return the best convention and all the flight cannot distinguish from it; empty if none fits."""
+    """Return the best convention and all that the flight cannot distinguish from it; empty if none fits."""
     own = judge(truth, answers, claimed)
     motion = move(truth, answers)
     error, cov = compare(answers, motion), answers.cov[motion.inside]
@@ -184,7 +184,7 @@ def search(
 
 
 def is_alike(best: Mistake, one: Mistake) -> bool:
-    """Return whether the blocks changed by the best or another convention fit as well with the other."""
+    """Return whether two conventions fit the blocks that either of them changes equally well."""
     blocks = [name for name in best.left if name in {*best.convention.blocks, *one.convention.blocks}]
     least, found = (sum(mistake.left[name].mean for name in blocks) for mistake in (best, one))
     return found <= least + max(_ALIKE * least, _SURE / max(best.after.samples, 1.0))
@@ -226,7 +226,7 @@ def try_convention(
 
 
 def _find_misfit(error: FloatArray, cov: FloatArray, blocks: Sequence[str], *, free: bool) -> float:
-    """Return the mean of -2 log likelihood of errors (K, 9), but for a constant, by blocks.
+    """Return the mean of -2 log likelihood of errors (K, 9) by block, without the constant term.
 
     If ``free`` the covariance of each block has the factor that fits it best: it is overconfident by it.
     """
@@ -279,7 +279,7 @@ def _weigh(
 def solve(
     truth: Trajectory, answers: Answers, one: Convention, blocks: Sequence[str], constants: FloatArray
 ) -> tuple[FloatArray | None, list[FloatArray]]:
-    """Return a step of weighted least squares from some constants, and the steps of the two halves alone."""
+    """Return a weighted least-squares step for the constants: of the whole flight and of each half."""
     assert one.derivative is not None
     undone = one.undo(answers, move(truth, answers), constants)
     motion = move(truth, undone)

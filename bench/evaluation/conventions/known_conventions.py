@@ -1,4 +1,4 @@
-"""Conventions in which a solution may be given by mistake, each with how to undo it.
+"""Conventions that are often mistaken, each with a function that undoes the mistake.
 
 A convention without constants is undone as it is: exchanged axes, units, a conjugate. One with constants (a
 time offset, a lever arm, a rotation, a height) has the derivative of the errors by them, so that they can be
@@ -37,7 +37,7 @@ class Answers:
 
 @dataclass(frozen=True, slots=True)
 class TrueMotion:
-    """The truth at the epochs that answers are of."""
+    """The truth at the epochs of a solution."""
 
     inside: BoolArray  # (M,) epochs that the truth covers; the others have no row below
     lla: FloatArray  # (K, 3)
@@ -58,7 +58,7 @@ class TrueMotion:
 
 
 def move(truth: Trajectory, answers: Answers) -> TrueMotion:
-    """Return the truth at the epochs that answers are of."""
+    """Return the truth at the epochs of a solution."""
     t = answers.t - answers.late
     inside = (t >= truth.t[0] + _STEP) & (t <= truth.t[-1] - _STEP)
     lla, vel_n, q_nb = interpolate_truth(truth, t[inside])
@@ -85,7 +85,7 @@ Derivative = Callable[[TrueMotion], FloatArray]
 
 @dataclass(frozen=True, slots=True)
 class Convention:
-    """One mistake, and how to undo it."""
+    """One mistaken convention with the function that undoes it."""
 
     name: str
     words: Callable[[FloatArray], str]  # constants -> what is said
@@ -102,7 +102,7 @@ class Convention:
 
 
 def list_conventions(antenna_b: FloatArray) -> list[Convention]:
-    """Return all that are tried; ``antenna_b`` (3,) is the place of the antenna [m], b."""
+    """Return all conventions to try; ``antenna_b`` (3,) is the antenna position in body axes [m]."""
     return [*_list_exchanged(), *_list_fitted(antenna_b), *_list_claims()]
 
 
@@ -220,7 +220,7 @@ def _exchange(
     change: Callable[[FloatArray, TrueMotion], FloatArray],
     shrinks: float = 0.0,
 ) -> Convention:
-    """Return a convention that changes the values of one block by a function of these and the motion."""
+    """Return a convention that changes the values of one block by a function of the values and the motion."""
     column = {"pos": "lla", "vel": "vel_n", "phi": "q_nb"}[block]
 
     def undo(answers: Answers, motion: TrueMotion, _: FloatArray) -> Answers:
@@ -278,7 +278,7 @@ def _undo_axes(conjugate: bool, level: bool, body: bool, q: FloatArray, _: TrueM
 
 
 def _undo_euler(factor: float, q: FloatArray, motion: TrueMotion) -> FloatArray:
-    """Return the attitude of angles that have been multiplied by a factor, which may have wrapped them.
+    """Return the attitude from Euler angles that were multiplied by a factor and perhaps wrapped.
 
     The small rotation from the true angles, multiplied, to the answer is ``E(wrong) factor d``; d are the
     errors of the angles, whose rotation at the true angles is ``E(true) d``. Where the wrong pitch is near 90
@@ -322,7 +322,7 @@ def _to_power(power: float, units: FloatArray, sd: FloatArray) -> FloatArray:
 def _claim(
     name: str, change: Callable[[FloatArray], FloatArray], blocks: tuple[str, ...] = ("pos", "vel", "phi")
 ) -> Convention:
-    """Return a convention that changes the standard deviations (M, 9); correlations stay."""
+    """Return a convention that changes the standard deviations (M, 9) and keeps the correlations."""
 
     def undo(answers: Answers, _: TrueMotion, __: FloatArray) -> Answers:
         with np.errstate(all="ignore"):

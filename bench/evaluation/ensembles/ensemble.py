@@ -148,7 +148,7 @@ class Growth:
 def measure_growth(
     t: FloatArray, pos_n: FloatArray, start: float, elapsed: Sequence[float]
 ) -> tuple[Growth, ...]:
-    """Return how far the horizontal error has grown, by duration of the outage.
+    """Return the growth of the horizontal error for each duration of the outage.
 
     Parameters
     ----------
@@ -178,7 +178,7 @@ def measure_growth(
 
 @dataclass(frozen=True, slots=True)
 class Course:
-    """A normalized square averaged over runs, along the run, with its band for a matched filter."""
+    """Normalized error squared along a run, averaged over runs, with its band for a matched filter."""
 
     t: FloatArray  # (M,) [s]
     mean: FloatArray  # (M,)
@@ -298,7 +298,7 @@ def normalize_innovations(
 
 
 def sum_repetition(innovations: Innovations, begin: float, end: float = np.inf) -> dict[str, FloatArray]:
-    """Return what :func:`measure_repetition` pools, of one run in [begin, end) [s], by sensor.
+    """Return the sums of one run in [begin, end) [s] that :func:`measure_repetition` pools, by sensor.
 
     Returns
     -------
@@ -319,7 +319,7 @@ def sum_repetition(innovations: Innovations, begin: float, end: float = np.inf) 
 
 
 def measure_repetition(runs: Sequence[Mapping[str, FloatArray]]) -> dict[str, tuple[float, float]]:
-    """Return how much innovations repeat from one update to the next, over all runs, by sensor.
+    """Return the correlation of innovations from one update to the next, over all runs, by sensor.
 
     Returns
     -------
@@ -357,7 +357,7 @@ class Comparison:
 
     @property
     def sentence(self) -> str:
-        """Which is better, and by how much."""
+        """Sentence that names the better filter and the difference."""
         low, high = self.difference.low, self.difference.high
         if low <= 0.0 <= high:
             same = max(-low, high) <= SAME * self.size

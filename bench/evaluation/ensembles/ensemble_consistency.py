@@ -1,4 +1,4 @@
-"""Does the covariance of a filter describe its errors? The rule for many runs, and its words.
+"""Consistency of a filter over many runs: the rule of the verdict, and its sentences.
 
 The errors of a filter may last a whole run: a turn-on bias does. Epochs of one run are then far from
 independent, so every test here takes the run as the sample, or one time of every run:
@@ -40,7 +40,7 @@ Word = Literal["consistent", "overconfident", "underconfident", "undecided"]
 
 @dataclass(frozen=True, slots=True)
 class Consistency:
-    """Consistency of a filter over runs: the word, the interval it comes from, and the tests."""
+    """Consistency of a filter over runs: the verdict, its interval, and the tests."""
 
     states: int  # n, the expected NEES
     runs: int
@@ -63,7 +63,7 @@ class Consistency:
 
     @property
     def sentence(self) -> str:
-        """The word with the figures it comes from."""
+        """The verdict with the numbers that support it."""
         text = (
             f"{self.word}: ANEES / {self.states} is {self.ratio:.2f}, {self.low:.2f} to {self.high:.2f} "
             f"from {self.runs} runs"
@@ -161,7 +161,7 @@ def check_consistency(
 
 
 def _choose_word(ratio: float, half: float, runs: int) -> tuple[Word, int | None]:
-    """Return the word for a ratio with an interval of ratio +- half, and the runs that would decide."""
+    """Return the verdict for the interval ratio +- half, and the number of runs that would decide."""
     least, most = TOLERATED
     if ratio - half > most or not math.isfinite(ratio + half):  # NEES is not finite: P is no covariance
         return "overconfident", None

@@ -129,7 +129,7 @@ def summarize_runs(results: Sequence[RunResult], label: str, evaluation: Evaluat
 def _measure_growth(
     rows: Sequence[Mapping[str, float]], errors: Sequence[ErrorSeries]
 ) -> dict[str, tuple[Growth, ...]]:
-    """Return the growth over the outages of a profile that have an epoch at their start, by number."""
+    """Return the error growth over each outage that starts at an epoch of the solution, by its number."""
     found, t = {}, errors[0].t
     pos_n = np.stack([one.pos_n for one in errors])
     outages = sorted((row["start_s"], row["duration_s"]) for row in rows)
@@ -147,7 +147,7 @@ def _length(vectors: FloatArray) -> FloatArray:
 
 
 def _list_squares(blocks: Mapping[str, FloatArray], heading: FloatArray) -> dict[str, FloatArray]:
-    """Return the mean squares (R,) of each run by the name of their root."""
+    """Return the mean squared error (R,) of each run, keyed by the name of the RMSE."""
     sizes: dict[str, FloatArray] = {}
     if "pos" in blocks:
         sizes |= {"pos_h_m": _length(blocks["pos"][..., :2]), "pos_d_m": blocks["pos"][..., 2]}

@@ -26,7 +26,7 @@ _REPEATED = 20  # until a number of runs stays
 
 @dataclass(frozen=True, slots=True)
 class PairedRatio:
-    """The first of two over the second, by their root mean squares over the runs they share."""
+    """Ratio of the RMS error of the first filter to the second, over their common runs."""
 
     first: str
     second: str
@@ -49,7 +49,7 @@ class PairedRatio:
 def compare_draws_of(
     names: tuple[str, str], first: FloatArray, second: FloatArray, error: float = 1.0 - CONFIDENCE
 ) -> PairedRatio:
-    """Compare two by their errors on the same runs.
+    """Compare two filters by their errors on the same runs.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ def compare_draws_of(
 
 
 def count_deciding(change: Change, clear: float, error: float) -> float:
-    """Return of how many draws the interval of a change is as wide as ``clear`` to each side.
+    """Return the number of runs with which the half-width of the interval of a change is ``clear``.
 
     The spread stays, and Student's t of more runs is less: it is found by repetition.
     """

@@ -1,4 +1,4 @@
-"""Has a metric changed? Statistics of values of the same runs before and after a change of the code.
+"""Statistics of metrics of the same runs before and after a change of the code.
 
 Draw k has the same truth and the same noise before and after, so the change is estimated from pairs. A small
 change then shows beside a large spread of the runs.
@@ -19,7 +19,7 @@ Scale = Callable[[FloatArray], FloatArray]
 
 
 def log_of_mean(mean: FloatArray) -> FloatArray:
-    """Compare by ratio: for values that are positive. Of mean squares, half of it is ln of the RMSE."""
+    """Scale that compares positive values by their ratio; half of it, for mean squares, is ln of the RMSE."""
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.asarray(np.log(mean))
 
@@ -58,7 +58,7 @@ class Change:
         return float(2.0 * stdtr(self.dof, -abs(self.estimate) / self.standard_error))
 
     def interval(self, error: float) -> tuple[float, float]:
-        """Return the interval of the change that misses it with probability ``error``."""
+        """Return the confidence interval of the change, with an error probability of ``error``."""
         from scipy.special import stdtrit
 
         half = float(stdtrit(self.dof, 1.0 - 0.5 * error)) * self.standard_error
@@ -125,7 +125,7 @@ def average_changes(by_draw: FloatArray) -> Change:
 
 
 def decide(changes: Sequence[Change], error: float) -> tuple[list[bool], list[float]]:
-    """Return which changes are proven, by Holm, and the errors of the intervals that agree with that."""
+    """Return which changes Holm's method proves, and the error probabilities of matching intervals."""
     rejected, levels = reject_by_holm([change.p_value for change in changes], error)
     if not rejected.all():
         levels[~rejected] = levels[~rejected].min()  # where Holm's method stopped
@@ -133,13 +133,13 @@ def decide(changes: Sequence[Change], error: float) -> tuple[list[bool], list[fl
 
 
 def _jackknife_variance(left_out: FloatArray) -> float:
-    """Return the variance of an estimate from its values with one run left out each."""
+    """Return the jackknife variance of an estimate from its values with each run left out in turn."""
     n = len(left_out)
     return float((n - 1) / n * np.square(left_out - left_out.mean()).sum())
 
 
 def compare_counts(old: BoolArray, new: BoolArray, *, paired: bool) -> float:
-    """Return the two-sided p-value that an event is as frequent before as after.
+    """Return the two-sided p-value of the hypothesis that an event is equally frequent before and after.
 
     Paired it is McNemar's exact test: of the runs that flipped, each way is equally likely. Unpaired it is
     Fisher's exact test.

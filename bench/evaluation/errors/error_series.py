@@ -114,7 +114,7 @@ def _claims(solution: NavSolution, rows: slice) -> bool:
 
 
 def _has_number(values: FloatArray) -> bool:
-    """Return whether any value (M, ...) is not NaN; most have one in the first row."""
+    """Return whether any value (M, ...) is not NaN; checks the first row first."""
     return not (np.isnan(values[:1]).all() and np.isnan(values).all())
 
 
@@ -292,7 +292,7 @@ def check_convergence(
 def list_sizes(
     errors: ErrorSeries, solution: NavSolution, blocks: Collection[str]
 ) -> Iterator[tuple[str, str, float, FloatArray, FloatArray]]:
-    """Yield what an error is of, its unit, its limit, its size (M,) and the sigma that is reported (M,)."""
+    """Yield name, unit, limit, size (M,) and reported sigma (M,) of each kind of error."""
     variance = variances(solution)
     with np.errstate(invalid="ignore"):
         if "pos" in blocks:
@@ -370,7 +370,7 @@ def select_epochs(record: _Series, rows: BoolArray | IntArray | slice) -> _Serie
 
 
 def as_slice(rows: BoolArray | IntArray | slice) -> BoolArray | IntArray | slice:
-    """Return a mask of all rows from one on as a slice, which takes a view and no copy; else the rows."""
+    """Return a slice if a mask selects all rows from some row on, so that no copy is made; else the mask."""
     if isinstance(rows, np.ndarray) and rows.dtype == np.bool_ and len(rows):
         first = int(np.argmax(rows))
         return slice(first, None) if rows[first:].all() else rows

@@ -1,4 +1,4 @@
-"""Solution of a filter that failed: without values, with events that give the reason."""
+"""Solution of a failed filter: all values NaN, with the reason as an event."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def make_failed_solution(t: FloatArray, why: str, events: Sequence[EventRow] = (
 
 
 def describe_error(label: str, error: EstimatorError | EstimatorFailedError) -> tuple[str, list[EventRow]]:
-    """Return why a filter failed, and an event with its traceback, if it raised."""
+    """Return the reason why a filter failed, and an event with the traceback of its exception."""
     why = str(error).removeprefix(f"filter {label!r}: ")
     if isinstance(error, EstimatorError | EstimatorStoppedError):  # it cannot start here, or was ended
         return why, []
@@ -52,7 +52,7 @@ def describe_error(label: str, error: EstimatorError | EstimatorFailedError) -> 
 
 
 def check_starts(raised: Mapping[str, EstimatorError | EstimatorFailedError], count: int) -> None:
-    """Check what filters raised, of ``count`` in all.
+    """Check the exceptions of the filters that failed, out of ``count`` filters.
 
     Raises
     ------

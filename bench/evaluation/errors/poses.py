@@ -1,4 +1,4 @@
-"""Estimated and true poses of a run, and what of them differs over a time or a distance."""
+"""Estimated and true poses of a run, and their relative errors over a time or a distance."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class Poses:
         return Poses(**taken) if len(taken["t"]) >= 3 else None
 
     def pairs(self, along: FloatArray, steps: Sequence[float]) -> list[tuple[IntArray, IntArray]]:
-        """Return the first rows, one a second, and the last rows of the pieces of each length."""
+        """Return the first rows, one a second, and the last rows of the segments of each length."""
         first = np.searchsorted(self.t, np.arange(self.t[0], self.t[-1], _PACE))
         begun = along[first]
         found = []
@@ -65,7 +65,7 @@ class Poses:
         return found
 
     def distance(self, first: IntArray, last: IntArray) -> FloatArray:
-        """Return the error (K,) of the displacements from first to last rows, seen in b at the first [m]."""
+        """Return the error (K,) of the displacements from first to last rows [m], in b of the first rows."""
         apart = np.empty(len(first))
         estimate_e, truth_e = read_only(self.estimate_e), read_only(self.truth_e)
         q_estimate, q_truth = read_only(self.q_estimate), read_only(self.q_truth)
@@ -132,7 +132,7 @@ def _angle_kernel(
 
 @inner
 def _turn_back_kernel(pos_e: FloatArray, q: FloatArray, first: int, last: int) -> tuple[float, float, float]:
-    """Return the displacement from the first to the last row, in b of the first."""
+    """Return the displacement from the first to the last row, in the body axes of the first row."""
     w, x, y, z = q[first, 0], -q[first, 1], -q[first, 2], -q[first, 3]
     a, b, c = (
         pos_e[last, 0] - pos_e[first, 0],
@@ -157,7 +157,7 @@ def _distance_kernel(
 
 
 def align(points: FloatArray, reference: FloatArray) -> FloatArray:
-    """Return points (M, 3) turned and shifted, not scaled, to fit a reference (M, 3) best.
+    """Return points (M, 3), rotated and shifted without scaling to the best fit of a reference (M, 3).
 
     Umeyama, Least-squares estimation of transformation parameters (PAMI 13, 1991), eqs. 34 to 43.
     """

@@ -24,7 +24,7 @@ from bench.evaluation.metrics.run_metrics import judge_epochs
 def measure_by_reference(
     solution: NavSolution, reference: Reference, data: SensorData, evaluation: EvaluationWindow
 ) -> tuple[ErrorSeries, dict[str, Any]]:
-    """Return the errors of a solution against a reference, and the metrics of what it has.
+    """Return the errors of a solution against a reference, and the metrics of the reference quantities.
 
     Estimate and reference are compared at the point of the reference. Claims are those of both: ``cov`` of
     the estimate plus that of the reference.
@@ -37,7 +37,7 @@ def measure_by_reference(
 
 
 def compare(solution: NavSolution, reference: Reference, data: SensorData) -> tuple[ErrorSeries, NavSolution]:
-    """Return the errors at the epochs that both have, and the estimate there with the covariances of both."""
+    """Return errors and estimate at common epochs, the estimate with the sum of both covariances."""
     estimate, track = _meet(solution, reference.track)
     return point_errors(estimate, track, reference.point_b, data.imu)
 

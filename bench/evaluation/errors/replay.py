@@ -1,4 +1,4 @@
-"""Check of the truth: integrate its increments with an error-free strapdown and compare with its own columns.
+"""Check of the truth: integrate its increments with an error-free strapdown and compare with its motion.
 
 The strapdown is the one of the filters (`bench.navigation.mechanization`), with coning and sculling
 corrections from two intervals. Its error is the limit for every filter of the bench.

@@ -1,4 +1,4 @@
-"""A solution in rows of its own at other epochs.
+"""A solution resampled at other epochs.
 
 Between rows of a file, position is a cubic with the velocities at both ends (linear without velocities);
 velocity, biases and covariance are linear; attitude turns at a constant rate. There is no solution before the
@@ -107,7 +107,7 @@ def _choose_longest(solution: ForeignSolution, longest: float | None) -> float:
 
 
 def carry_rows(solution: ForeignSolution, t: FloatArray, longest: float | None = None) -> NavSolution:
-    """Return a solution at other times, each row carried on until the next: position by its velocity.
+    """Return a solution at other times, with each row extrapolated until the next row by its velocity.
 
     Parameters as for :func:`resample`; ``longest`` is the longest time that a row is carried on [s].
     """

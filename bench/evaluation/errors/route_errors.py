@@ -8,7 +8,7 @@ RADIUS = 6_371_000.0  # mean radius of the Earth [m]
 
 
 def cross_track_error(length: float, heading_error: float) -> float:
-    """Return how far across track a leg of a length [m] ends with an error of its heading [rad], in m.
+    """Return the cross-track error [m] at the end of a leg of a length [m] with a heading error [rad].
 
     Examples
     --------
@@ -19,7 +19,7 @@ def cross_track_error(length: float, heading_error: float) -> float:
 
 
 def allowed_heading_error(length: float, cross_track: float) -> float:
-    """Return the heading error [rad] that leads a leg of a length [m] so far across track [m].
+    """Return the heading error [rad] that causes a cross-track error [m] at the end of a leg of a length [m].
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Errors of a flight that an estimate flew, along its path: TSE = FTE - NSE, vector by vector.
+"""Path errors of a flight that an estimate guided, as vectors: TSE = FTE - NSE.
 
 The total system error is from the desired path to the truth, the flight technical error from the desired path
 to the estimated path, the navigation system error from the truth to the estimated path (RTCA DO-236C, where
@@ -22,12 +22,12 @@ PARTS: tuple[Part, ...] = ("tse", "fte", "nse")
 
 
 def resolve(case: Case) -> dict[Part, dict[str, FloatArray]]:
-    """Return the three errors (M,) [m], ``across`` to the right of the path and ``up``; empty without one."""
+    """Return the three errors (M,) [m], ``across`` to the right of the path and ``up``; {} without a path."""
     return {} if case.path is None else resolve_along(case.path, case.pos_n)
 
 
 def resolve_along(path: OffPath, pos_n: FloatArray) -> dict[Part, dict[str, FloatArray]]:
-    """Return the three errors as :func:`resolve`, of an estimate that is wrong by ``pos_n`` (M, 3) [m], n."""
+    """Return the three errors of :func:`resolve` for an estimate with the error ``pos_n`` (M, 3) [m], n."""
     north, east, down = pos_n.T
     nse = {"across": east * np.cos(path.course) - north * np.sin(path.course), "up": -down}
     tse = {"across": path.right, "up": path.above}
@@ -36,7 +36,7 @@ def resolve_along(path: OffPath, pos_n: FloatArray) -> dict[Part, dict[str, Floa
 
 
 def locate_path(path: OffPath, lla: FloatArray) -> FloatArray:
-    """Return where the path was beside places (M, 3) of the truth; NaN where there is none.
+    """Return the path point nearest to each true position (M, 3); NaN without a path.
 
     Where it has no height of its own it is as high as the truth.
     """
@@ -47,7 +47,7 @@ def locate_path(path: OffPath, lla: FloatArray) -> FloatArray:
 
 
 def measure(part: Part, case: Case) -> Mapping[str, float | None]:
-    """Error along the path of a flight that an estimate flew, rms and largest, across the path and up [m]."""
+    """Path error of a flight that an estimate guided, RMS and largest value, across the path and up [m]."""
     found: dict[str, float | None] = {}
     errors = resolve(case)
     for axis in ("across", "up") if errors else ():

@@ -1,4 +1,4 @@
-"""Evaluate the estimate of an autopilot without a reference: by real outages and by its own innovations.
+"""Evaluate the estimate of an autopilot without a reference, by real outages and by the logged innovations.
 
 It has used every fix, so a fix says nothing of its error, but for the first one after a while without any:
 when that was measured, the autopilot had not used it.
@@ -35,7 +35,7 @@ def find_outages(fixes: GnssFixes) -> list[tuple[float, float]]:
 def measure_outages(
     solution: NavSolution, fixes: GnssFixes, data: SensorData, outages: Sequence[tuple[float, float]]
 ) -> list[OutageDrift]:
-    """Return the drift at the fix that ends each outage, of a solution that has its epoch."""
+    """Return the drift of a solution at the fix that ends each outage, if the solution has this epoch."""
     drifts = []
     for begin, end in outages:
         errors = antenna_errors(solution, fixes.take(fixes.t == end), data)
@@ -56,7 +56,7 @@ def measure_outages(
 
 
 def measure_innovations(solution: NavSolution, begin: float) -> tuple[ErrorSeries, dict[str, Any]]:
-    """Return no errors, and the metrics of the innovations."""
+    """Return the metrics of the innovations, with an empty error series."""
     values: dict[str, Any] = {"converged": True, "reason": None, **describe_failure(solution)}
     values["used_every_fix"] = True
     for ending, first in (("", begin), ("_all", -np.inf)):

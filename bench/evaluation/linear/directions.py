@@ -35,7 +35,7 @@ class Observed:
 
 
 def observe(bound: Bound) -> Observed:
-    """Return what a filter knows; a figure that is known exactly at the start has no direction."""
+    """Return the uncertainty along the flight; quantities without initial uncertainty have no direction."""
     M = np.vstack([np.eye(9, bound.bias.shape[1])[6:], bound.bias])
     P = M @ bound.causal @ M.T
     start = np.sqrt(np.diag(M @ bound.start @ M.T))
@@ -49,7 +49,7 @@ def observe(bound: Bound) -> Observed:
 
 
 def describe_direction(direction: FloatArray) -> str:
-    """Return the figures that make up most of a direction (9,), with their parts.
+    """Return the quantities that dominate a direction (9,), with their components.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Drift of an unaided INS in closed form, from the figures of a datasheet: is a measured drift normal?
+"""Predicted drift of an unaided INS in closed form, from the values of a datasheet.
 
 The horizontal channel of an INS is a pendulum with the Schuler period of 84.4 minutes, ``w^2 = g / R``::
 

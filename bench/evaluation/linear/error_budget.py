@@ -64,7 +64,7 @@ def split_errors(gains: Gains, truth_model: TruthModel) -> Budget:
 
 
 def motion_factors(path: LinearPath, model: StateModel) -> FloatArray:
-    """Return the factors (K, `FACTORS`) that a filter works with, its temperature by its own model."""
+    """Return the motion factors (K, `FACTORS`) of a filter, with the temperature that it models."""
     if not (model.process.drives[:, 2] == WARMTH).any():
         return path.factors
     factors = path.factors.copy()
@@ -77,7 +77,7 @@ def motion_factors(path: LinearPath, model: StateModel) -> FloatArray:
 
 
 def signals(path: LinearPath, constants: tuple[Constant, ...]) -> FloatArray:
-    """Return the errors (K, 6, C) of gyros [rad/s] and accelerometers [m/s^2] by constants, step means."""
+    """Return the mean errors (K, 6, C) of gyros [rad/s] and accelerometers [m/s^2] per step and constant."""
     shape = np.zeros((FACTORS, 6, len(constants)))
     sampled = []
     for c, one in enumerate(constants):

@@ -1,4 +1,4 @@
-"""The gains of a compiled loose filter in one run, recorded so that covariances can be made under them."""
+"""Recorded gains of a compiled loose filter in one run, for covariances with these gains."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ KNOWN = (POSITION, VELOCITY, BARO)
 
 @dataclass(frozen=True, slots=True)
 class Updates:
-    """U scalar measurements in the order of use; each is an error of the sensor, h dx - error."""
+    """U scalar measurements in the order of use, each as the residual h dx minus the error of the sensor."""
 
     step: IntArray  # (U,) of the path, after which it is used
     code: IntArray  # (U,) sensor, of `KNOWN`
@@ -122,7 +122,7 @@ def measurement_rows(
 def _replay(
     table: Innovations, nodes: Nodes, step: IntArray, path: LinearPath, model: StateModel, data: SensorData
 ) -> Updates:
-    """Return the updates of the accepted measurements, with the gains that P before them gives.
+    """Return the updates of the accepted measurements, with the gains computed from P before each update.
 
     The variance of the noise is what is left of that of the innovation, as logged; where P was opened for a
     measurement that had been rejected, it is that of the one before.
@@ -173,7 +173,7 @@ def _replay(
 
 
 def find_record_rows(t: FloatArray, code: int, data: SensorData) -> IntArray:
-    """Return the rows of its record that the measurements of a sensor, used at t (M,), come from."""
+    """Return the rows of a sensor record from which the measurements used at t (M,) come."""
     record = data.baro if code == BARO else data.fixes
     if record is None:
         return np.zeros(len(t), np.int64)

@@ -1,4 +1,4 @@
-"""A true motion in short steps, each with the transition of the errors of an INS that flies it."""
+"""True motion in short steps, each with the transition matrix of the INS errors."""
 
 from __future__ import annotations
 

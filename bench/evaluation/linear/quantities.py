@@ -17,7 +17,7 @@ _ALIKE = 1e-6  # least variance of mean squares over their square, so that draws
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """A figure of the errors of position, velocity and attitude: the root of a sum of variances."""
+    """Quantity derived from the errors of position, velocity and attitude: the root of a sum of variances."""
 
     name: str  # as in columns, with its unit
     title: str

@@ -1,4 +1,4 @@
-"""Sensors that have one source of error alone, beside filters that assume them all."""
+"""Sensors with a single error source, for filters that still assume all error sources."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from bench.simulation.sensors.initial import draw_initial_state
 
 
 def sense_alone(truth: Trajectory, spec: SensorsSpec, source: Source, seed: int, run: int) -> Sensed:
-    """Return what the sensors report with one source of error, each term drawn as if all were there.
+    """Simulate the sensors with one error source; its noise is the same as in a simulation with all sources.
 
     The filter gets the covariance at the start of all errors.
     """
@@ -25,7 +25,7 @@ def sense_alone(truth: Trajectory, spec: SensorsSpec, source: Source, seed: int,
 
 
 def keep_source(spec: SensorsSpec, source: Source) -> SensorsSpec:
-    """Return sensors without the other sources; what filters assume of them stays."""
+    """Return sensors with only one error source; the values that filters assume do not change."""
     none = {name: _nothing(getattr(spec, name)) for names in INITIAL.values() for name in names}
     kept = {name: getattr(spec, name) for name in source.figures if source.part == "initial"}
     imu = spec.imu

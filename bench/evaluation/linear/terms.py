@@ -38,7 +38,7 @@ _NOTHING = np.zeros(3)
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """A source of error: what is switched to have it alone."""
+    """A source of error, with the datasheet values that belong to it."""
 
     name: str
     part: str  # "initial", "gyro", "accel", "imu", "gnss" or "baro"
@@ -176,7 +176,7 @@ def model_errors(truth: Trajectory, spec: SensorsSpec, seed: int, *, known_jumps
 
 
 def check_sensors(spec: SensorsSpec) -> None:
-    """Raise ConfigError if the sensors on board, or what happens to them, have no linear model here."""
+    """Raise ConfigError if the sensors on board, or their faults, have no linear model here."""
     if spec.imu.accel_cone > 0:
         raise ConfigError("the linear model needs accelerometers along the axes, accel_cone_deg = 0")
     if spec.gnss is not None and spec.gnss.sky is not None:
@@ -193,7 +193,7 @@ def check_sensors(spec: SensorsSpec) -> None:
 
 
 def list_sources() -> Iterator[Source]:
-    """Yield every source of error there may be, in the order of a datasheet."""
+    """Yield every possible error source, in the order of a datasheet."""
     figures: tuple[str, ...]
     for name, figures in INITIAL.items():
         yield Source(name, "initial", figures)
@@ -299,7 +299,7 @@ def list_gnss_processes(truth: Trajectory, spec: SensorsSpec, known_jumps: bool)
 
 
 def sampled_imu(truth: Trajectory, imu: ImuSpec, seed: int) -> Iterator[Constant]:
-    """Yield roundings, lag, dead zone, arms and vibration as the simulation makes them alone."""
+    """Yield the simulated errors due to rounding, lag, dead zone, lever arms and vibration, each alone."""
     still = ThermalSpec()
     dt = np.diff(truth.t)[:, None]
 
@@ -327,7 +327,7 @@ def sampled_imu(truth: Trajectory, imu: ImuSpec, seed: int) -> Iterator[Constant
 
 
 def sampled_baro(truth: Trajectory, spec: SensorsSpec, seed: int) -> Iterator[Constant]:
-    """Yield what runs of a barometer on the static pressure of the flight err by."""
+    """Yield the errors of simulated barometer runs due to the static pressure of the flight."""
     assert spec.baro is not None
     rows = find_epoch_rows("baro", truth.t, spec.baro.rate)
     for run in range(SAMPLES):

@@ -142,7 +142,7 @@ def build_case(
     coverage: Coverage | None = None,
     path: OffPath | None = None,
 ) -> Case:
-    """Collect what the metrics need of a whole run.
+    """Collect the inputs of the metrics from a whole run.
 
     Parameters
     ----------
@@ -207,12 +207,12 @@ def build_case(
 
 
 def select_path(path: OffPath, rows: Any) -> OffPath:
-    """Return some rows."""
+    """Return selected rows of a path."""
     return OffPath(path.t[rows], path.right[rows], path.above[rows], path.course[rows])
 
 
 def cut_case(whole: Case, evaluation: EvaluationWindow, missing: FloatArray = NO_TIMES) -> Case:
-    """Return the epochs of a whole run that count, with what starts in them.
+    """Return the evaluated epochs of a whole run, with the outages and faults that begin in them.
 
     ``missing`` holds the epochs (K,) that were asked for and have no solution [s].
     """

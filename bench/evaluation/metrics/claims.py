@@ -1,4 +1,4 @@
-"""Metrics of what a filter reports and answers: NEES, coverage, NIS and their bands, bias states.
+"""Metrics of the reported covariance and of availability: NEES, coverage, NIS and their bands, bias states.
 
 The errors of one run last: a run of ten minutes with an error that wanders over two minutes tells as much as
 five independent values. A band for one run therefore counts independent values, not epochs.
@@ -101,7 +101,7 @@ def coverage_low(block: str, case: Case) -> dict[str, float | None]:
 
 
 def find_least_inside(samples: float) -> float | None:
-    """Return the least share that so many independent values may have within three sigmas, or None."""
+    """Return the smallest plausible fraction within 3 sigma of some independent values; None if too few."""
     from scipy.special import bdtr
 
     count = int(samples)
@@ -130,17 +130,17 @@ def error_over_sigma(case: Case) -> Mapping[str, float | None]:
 
 
 def output_coverage(case: Case) -> float:
-    """Fraction of the requested epochs that have a solution; errors of the others: its last, carried on."""
+    """Fraction of the requested epochs that have a solution; at the others the last one is extrapolated."""
     return 0.0 if case.solution.events.select(FAILED) else len(case.t) / case.asked
 
 
 def answered(case: Case) -> Mapping[str, float | None]:
-    """Share of the epochs that a block answers, from the first answer on, less what the data excuse."""
+    """Fraction of the epochs with a solution of a block, after its first one and without gaps of the data."""
     return {} if case.coverage is None else case.coverage.shares
 
 
 def first_answer(case: Case) -> float | None:
-    """Time from the first epoch asked for to the first answer [s]."""
+    """Time from the first requested epoch to the first solution [s]."""
     return None if case.coverage is None else case.coverage.waited
 
 

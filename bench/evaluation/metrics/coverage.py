@@ -1,4 +1,4 @@
-"""Fraction of the requested epochs that a solution answers, and the error counted at the other epochs.
+"""Fraction of the requested epochs with a solution, and the error counted at the other epochs.
 
 Each estimated block (position, velocity, attitude) counts at every time from its first answer on. An epoch
 without an answer gets the error of the last answer, extrapolated by its own velocity: a filter without
@@ -28,7 +28,7 @@ _GAP = 1.5  # so many times its usual interval a sensor was silent [1]
 
 @dataclass(frozen=True, slots=True)
 class Coverage:
-    """Part of the epochs that each block answers, of those at which the data allow an answer."""
+    """Fraction of the epochs with a solution, by block, out of the epochs at which the data allow one."""
 
     shares: Mapping[str, float]  # by block that is estimated, from the first answer on [1]
     waited: float  # from the first epoch asked for to the first answer [s]
@@ -37,17 +37,17 @@ class Coverage:
 
     @property
     def share(self) -> float:
-        """The part of the block with the fewest answers; 1 without any, which has its own verdict."""
+        """Fraction of the block with the fewest solutions; 1 without any, which has its own verdict."""
         return min(self.shares.values(), default=1.0)
 
     @property
     def enough(self) -> bool:
-        """Return whether every block answers all but a few epochs."""
+        """Return whether every block has a solution at all but a few epochs."""
         return self.share >= ENOUGH
 
     @property
     def text(self) -> str:
-        """The shares in words, rounded down."""
+        """The fractions in words, rounded down."""
         begin, end = self.longest
         shares = {block: f"{math.floor(1e3 * share) / 10:g} %" for block, share in self.shares.items()}
         if len(set(shares.values())) == 1:
@@ -61,7 +61,7 @@ class Coverage:
 
 
 def measure_coverage(solution: NavSolution, data: SensorData | None) -> Coverage:
-    """Return the part of the requested epochs that a solution answers, by block.
+    """Return the fraction of the requested epochs with a solution, by block.
 
     A time at which any value of a block is not finite, or that a table does not cover, has no answer of
     it. Those do not count that :func:`find_excused` names.
@@ -94,7 +94,7 @@ def find_longest(t: FloatArray, lost: IntArray) -> tuple[float, float]:
 
 
 def find_excused(solution: NavSolution, data: SensorData | None) -> BoolArray:
-    """Return a mask (M,) of the epochs at which the data excuse a silence.
+    """Return a mask (M,) of the epochs at which a gap of the data excuses a missing solution.
 
     While the IMU was silent, and for a solution without attitude, which is made of fixes, while these were.
     """
@@ -124,13 +124,13 @@ def is_silent(t: FloatArray, reports: FloatArray) -> BoolArray:
 
 
 def find_silent_epochs(solution: NavSolution) -> BoolArray:
-    """Return a mask (M,) of the epochs without an answer after the first one."""
+    """Return a mask (M,) of the epochs without a solution after the first solution."""
     answered = find_answered_epochs(solution)
     return ~answered & (np.cumsum(answered) > 0)
 
 
 def carry_on(solution: NavSolution, silent: BoolArray) -> NavSolution:
-    """Return a solution with its silent epochs (M,) filled by the last answer before them, extrapolated.
+    """Return a solution with its missing epochs (M,) filled by extrapolation of the last solution.
 
     Position moves by the velocity of the last answer; velocity and attitude stay. No sigma is reported there.
     """
@@ -150,7 +150,7 @@ def carry_on(solution: NavSolution, silent: BoolArray) -> NavSolution:
 def carry_positions(
     t: FloatArray, lla: FloatArray, vel_n: FloatArray, rows: IntArray, until: FloatArray
 ) -> FloatArray:
-    """Return positions (K, 3) of answers at t (M,), carried on from ``rows`` (K,) to epochs ``until`` (K,).
+    """Extrapolate positions at t (M,) from ``rows`` (K,) to the epochs ``until`` (K,); the result is (K, 3).
 
     By the velocity of each answer; without one, by that from the answer before it.
     """

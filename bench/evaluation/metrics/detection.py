@@ -34,7 +34,7 @@ LONGEST_REFUSAL = 60.0
 
 
 def measure_delay(fault: Fault, raised: Sequence[Alarms]) -> float | None:
-    """Return the time from the start of a fault until it is detected [s]; None if it is not.
+    """Return the time from the start of a fault until its detection [s]; None if undetected.
 
     It is at an event, or when two updates of one name in a row are rejected; at one if the fault has no more.
     """
@@ -77,17 +77,17 @@ def _concerns(fault: Fault, raised: Alarms) -> bool:
 
 
 def fault_detected(case: Case) -> dict[str, float | None]:
-    """1 if during the fault two updates of its sensor in a row were rejected or an event told, else 0."""
+    """1 if the fault was detected: two successive rejections of its sensor, or an event; else 0."""
     return {k: float(measure_delay(f, case.alarms) is not None) for k, f in case.faults.items()}
 
 
 def fault_delay(case: Case) -> dict[str, float | None]:
-    """Time from the start of the fault to the first of them [s]; None without."""
+    """Time from the start of the fault until its detection [s]; None if undetected."""
     return {k: measure_delay(f, case.alarms) for k, f in case.faults.items()}
 
 
 def fault_alarm_share(case: Case) -> dict[str, float | None]:
-    """Share of the time of the fault in which its sensor was rejected or an event stood, by whole seconds.
+    """Fraction of the whole seconds of the fault with a rejection of its sensor or an active event.
 
     Of a second in which some updates were used it is the share of the others. Of fixes and ranges those of
     the position count: who rejects only their velocities follows them. Absent of a filter that does not
@@ -146,13 +146,13 @@ def false_alarm_rate(case: Case) -> float | None:
 
 
 def false_alarm_share(case: Case) -> float | None:
-    """Share of the whole seconds outside all faults in which an alarm was raised."""
+    """Fraction of the whole seconds outside all faults with an alarm."""
     seconds, alarms = _outside_faults(case)
     return float(np.isin(seconds, np.floor(alarms)).mean()) if len(seconds) else None
 
 
 def _outside_faults(case: Case) -> tuple[FloatArray, FloatArray]:
-    """Return the whole seconds that are evaluated and without a fault, and the alarms in them [s]."""
+    """Return the evaluated whole seconds without a fault, and the alarms in these seconds [s]."""
     first = max(case.begin, float(case.t[0]))
     seconds = np.arange(np.ceil(first - SAME_INSTANT), np.floor(case.t[-1]))
     for fault in case.scripted:

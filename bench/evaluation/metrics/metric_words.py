@@ -117,7 +117,7 @@ class MetricWords(NamedTuple):
 
 @cache
 def find_words(name: str) -> MetricWords:
-    """Return how a metric is read.
+    """Return words, unit and heading of a metric.
 
     Examples
     --------
@@ -153,7 +153,7 @@ def name_metric(name: str) -> str:
 
 
 def format_metric(name: str, value: Any) -> str:
-    """Return a value as it is shown, without its unit; yes or no for what is detected or not."""
+    """Format a value without its unit; detections become yes or no."""
     if name.startswith("fault_") and name.removesuffix("_all").endswith("_detected") and value is not None:
         return "yes" if value else "no"
     factor = find_words(name).factor
@@ -169,5 +169,5 @@ def group_metrics(names: Iterable[str]) -> dict[str, list[str]]:
 
 
 def list_wordless() -> list[str]:
-    """Return the rows of `METRICS` that are called by the first line of their function."""
+    """Return the rows of `METRICS` whose name in words is the first line of their function."""
     return [metric.name for metric in METRICS if metric.name not in _WORDS]

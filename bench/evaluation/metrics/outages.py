@@ -1,4 +1,4 @@
-"""Drift of a filter without GNSS: outages made at several places of a recording, and their statistics.
+"""Drift of a filter in simulated outages at several places of a recording, and its statistics.
 
 The fixes inside an outage are the reference for the drift. A few places say little about the 95 % value, so
 every quantile has a confidence interval. It is valid for any distribution if the places are independent.

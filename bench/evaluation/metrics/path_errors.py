@@ -43,7 +43,7 @@ def ape_aligned(case: Case) -> float | None:
 def _relative(
     pairs: Sequence[tuple[IntArray, IntArray]], measure: Callable[[IntArray, IntArray], FloatArray]
 ) -> list[FloatArray]:
-    """Return what differs from the first to the last rows of each of the pairs."""
+    """Return the relative error from the first to the last row of each pair."""
     first, last = (np.concatenate(rows) for rows in zip(*pairs, strict=True))
     return np.split(measure(first, last), np.cumsum([len(rows) for rows, _ in pairs])[:-1])
 
@@ -80,7 +80,7 @@ def drift_percent(case: Case) -> Mapping[str, float | None]:
 
 
 def time_offset(case: Case) -> float | None:
-    """Time by which the estimate runs ahead of the truth [ms], as the position errors show it.
+    """Time by which the estimate is ahead of the truth [ms], from the position errors.
 
     Least squares of ``error = constant + velocity * offset``. None if that explains less than a tenth of the
     error, or the velocity hardly changes.

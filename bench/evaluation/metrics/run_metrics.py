@@ -76,7 +76,7 @@ class Metric(NamedTuple):
 
     @property
     def words(self) -> str:
-        """Return what the metric is, in a line."""
+        """Return the description of the metric in one line."""
         return str(getattr(self.function, "func", self.function).__doc__ or "").partition("\n")[0]
 
 
@@ -140,12 +140,12 @@ def _order_statistic(values: FloatArray, fraction: float) -> float:
 
 
 def cep(fraction: float, case: Case) -> float:
-    """Radius that holds 50 or 95 % of the horizontal errors [m], a silence is infinite; cep95 is also R95."""
+    """Radius with 50 or 95 % of the horizontal errors [m]; without a solution the error is infinite."""
     return _order_statistic(np.where(case.silent, np.inf, case.pos_h), fraction)
 
 
 def pos_95_v(case: Case) -> float:
-    """Vertical distance that holds 95 % of the vertical errors [m]; a silence is infinite."""
+    """Distance that contains 95 % of the vertical errors [m]; without a solution the error is infinite."""
     return _order_statistic(np.where(case.silent, np.inf, np.abs(case.pos_n[:, 2])), 0.95)
 
 
@@ -169,7 +169,7 @@ def heading_right(case: Case) -> Value:
 
 
 def _settle(case: Case, below: BoolArray) -> Value:
-    """Return the time from which a condition (M,) holds to the end or an outage; None if there is none."""
+    """Return the time from which a condition (M,) holds to the end or an outage; None if it never holds."""
     starts = [int(np.searchsorted(case.t, start - SAME_INSTANT)) for _, start, _ in case.outages]
     edges = sorted({0, *starts, len(case.t)})
     for first, end in pairwise(edges):
@@ -343,7 +343,7 @@ def measure(
 
 
 class CarriedSolution(NamedTuple):
-    """A solution with its silences carried on, and its errors."""
+    """A solution with its missing epochs extrapolated, and its errors."""
 
     errors: ErrorSeries
     solution: NavSolution

@@ -40,7 +40,7 @@ class Finding:
 
 @dataclass(frozen=True, slots=True)
 class Looks:
-    """Runs that are looked at when there are ``first`` of them, and doubled until there are ``most``."""
+    """Numbers of runs at which a verdict is computed: ``first``, doubled up to ``most``."""
 
     first: int
     most: int
@@ -55,7 +55,7 @@ class Looks:
 
 
 def count_meeting_runs(share: float) -> int:
-    """Return the least number of runs that can show that a share is kept: all of them keep it.
+    """Return the smallest number of runs that proves a required fraction if all runs meet the requirement.
 
     Examples
     --------
@@ -66,7 +66,7 @@ def count_meeting_runs(share: float) -> int:
 
 
 def is_metric(name: str) -> bool:
-    """Return whether a requirement may name a metric so; :data:`EVERY` replaces a number."""
+    """Return whether a requirement may name this metric; :data:`EVERY` may replace a number."""
     return find_metric(name.replace(EVERY, "1")) is not None
 
 
@@ -76,7 +76,7 @@ def list_requirements(document: Mapping[str, Any], label: str) -> list[Mapping[s
 
 
 def judge_run(label: str, values: Values, rows: Sequence[Mapping[str, Any]]) -> list[Finding]:
-    """Return whether one run keeps each requirement.
+    """Return whether one run meets each requirement.
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ def judge_run(label: str, values: Values, rows: Sequence[Mapping[str, Any]]) -> 
 
 
 def judge_result(document: Mapping[str, Any], metrics: Mapping[str, Values]) -> list[Finding]:
-    """Return whether one run keeps what a profile or log as flown requires of each estimator."""
+    """Return whether one run meets the requirements of its profile or log on each filter."""
     every = ((label, values, list_requirements(document, label)) for label, values in metrics.items())
     return [one for label, values, rows in every for one in judge_run(label, values, rows)]
 
@@ -108,7 +108,7 @@ def judge_result(document: Mapping[str, Any], metrics: Mapping[str, Values]) -> 
 def judge_runs(
     label: str, runs: Sequence[Values], rows: Sequence[Mapping[str, Any]], looks: Looks | None = None
 ) -> list[Finding]:
-    """Return whether a share of some runs keeps each requirement; parameters as for :func:`judge_run`.
+    """Return whether enough of the runs meet each requirement; parameters as for :func:`judge_run`.
 
     Runs that are looked at several times, while more are added until it is decided, have ``looks``.
     """
@@ -129,7 +129,7 @@ def judge_runs(
 
 
 def _bound(count: int, n: int, share: float, looks: Looks | None) -> Estimate:
-    """Return a fraction with its bounds; a look that can decide gets its part of the error of each.
+    """Return a fraction with its bounds; the looks that can decide share the error probability equally.
 
     With fewer runs than show the share if all keep it the word cannot be `MET`, nor `MISSED` with fewer than
     show that it is missed if none does: such a look takes no part.
@@ -155,7 +155,7 @@ def decide(count: int, n: int, share: float, looks: Looks | None = None) -> str:
 
 
 def count_deciding_runs(count: int, n: int, share: float, looks: Looks | None = None) -> int | None:
-    """Return how many runs decide a share if as many of them keep it as of the n; None for more than 100,000.
+    """Return the number of runs that would decide if the fraction stays the same; None for more than 100,000.
 
     With ``looks`` so many are the most: what is looked at more often needs more.
 
@@ -174,7 +174,7 @@ def count_deciding_runs(count: int, n: int, share: float, looks: Looks | None = 
 
 
 def take_value(row: Mapping[str, Any], values: Values) -> float | None:
-    """Return the value of the metric of a row, of several the worst; None if one is missing."""
+    """Return the worst value of the metrics of a row; None if one is missing."""
     pattern = re.escape(row["metric"]).replace(re.escape(EVERY), r"\d+")
     found = [value for name, value in values.items() if re.fullmatch(pattern, name)]
     if not found or not all(isinstance(value, int | float) and math.isfinite(value) for value in found):

@@ -47,7 +47,7 @@ class Watched:
 
 
 def estimate_per_run(happened: BoolArray) -> Estimate:
-    """Return in which share of the runs something happened at any of their epochs (R, M)."""
+    """Return the fraction of the runs with an event at any epoch (R, M)."""
     return estimate_rate(int(happened.any(axis=1).sum()), len(happened))
 
 
@@ -66,7 +66,7 @@ def count_detected(watched: Watched, within: float) -> tuple[int, int]:
 
 
 def count_windows(watched: Watched, window: float) -> tuple[BoolArray, BoolArray] | None:
-    """Return which windows (R, W) of a duration [s] begin without an alert, and which of these have one.
+    """Return the windows (R, W) of a duration [s] that begin without an alert, and those with a later one.
 
     None if no window fits into a run.
     """
@@ -131,7 +131,7 @@ def judge_share(inside: BoolArray, least: float, hours: float) -> JudgedFigure:
 
 
 def bound_per_hour(events: int, hours: float) -> float:
-    """Return the largest rate per hour at which so few events in so many hours are not rarer than 5 %.
+    """Return the upper 95 % bound of a rate per hour from a number of events in some hours.
 
     Examples
     --------
@@ -142,5 +142,5 @@ def bound_per_hour(events: int, hours: float) -> float:
 
 
 def hours_flown(shape: tuple[int, ...], interval: float) -> float:
-    """Return how many hours R runs of M epochs ``(R, M)`` at an interval [s] are."""
+    """Return the duration [h] of R runs of M epochs ``(R, M)`` at an interval [s]."""
     return math.prod(shape) * interval / HOUR
