@@ -1,4 +1,4 @@
-"""The one check of what a filter answers, where it comes from code of others into bench."""
+"""Check of the solution of a filter from user code, the only place where it enters bench."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _LONGEST = 200  # characters of an error in a message
 
 
 def check_solution(found: object) -> NavSolution:
-    """Return an answer as a `NavSolution` with symmetric covariances.
+    """Return a checked solution as a `NavSolution` with symmetric covariances.
 
     NaN, infinite values and infinite variances stay: a state that is not estimated is NaN, and a diverged
     filter is a result. All bits are returned unchanged, except for covariances with two triangles that differ
@@ -64,7 +64,7 @@ def check_solution(found: object) -> NavSolution:
 
 
 def _rebuild(kind: type[_Kind], place: str, given: Any, **changed: Any) -> _Kind:
-    """Return a record made again from the fields of a record, with columns and names checked."""
+    """Return a copy of a record, made from its fields after a check of columns and names."""
     try:
         values = {one.name: getattr(given, one.name) for one in fields(kind)} | changed
         for name in _list_texts(kind):
@@ -105,7 +105,7 @@ def _check_texts(place: str, value: Any) -> tuple[str, ...]:
 
 
 def _check_type(place: str, column: Any, kind: type) -> None:
-    """Check that a column is what it was when the record was made."""
+    """Check that a column still has the type of a new record."""
     if not isinstance(column, np.ndarray) or column.dtype != kind:
         of = f"an array of {column.dtype}" if isinstance(column, np.ndarray) else type(column).__name__
         raise TypeError(f"{place} must be an array of {kind.__name__}; got {of}")
@@ -132,7 +132,7 @@ def _check_codes(innovations: Innovations) -> None:
 
 
 def _make_symmetric(solution: NavSolution) -> FloatArray | None:
-    """Return the covariances with the mean of their triangles; None if these agree."""
+    """Return symmetric covariances, the mean of both triangles; None if the triangles agree."""
     cov, same = solution.cov, True
     for rows in disk_arrays.blocks(len(cov)):
         P = cov[rows]

@@ -32,14 +32,14 @@ class BuiltIn:
     package: str | None = None  # that has to be installed beside bench
 
     def import_class(self) -> type[Estimator]:
-        """Return its class."""
+        """Return the class of the filter."""
         module, _, name = self.place.partition(":")
         found: type[Estimator] = getattr(importlib.import_module(module), name)
         return found
 
     @property
     def options(self) -> type[Options]:
-        """The class of its options."""
+        """Class of the options of the filter."""
         module, _, name = self.model.rpartition(":")
         found: type[Options] = getattr(importlib.import_module(module or "bench.navigation.options"), name)
         return found

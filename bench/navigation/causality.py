@@ -1,4 +1,4 @@
-"""Does a filter use what it cannot have yet? What arrives later is changed, and its answers are compared.
+"""Causality test of a filter: change the data that arrive later, and compare the solutions.
 
 An answer at t may follow from all that has arrived until t, and from the IMU sample that t lies in. Where the
 values of everything that arrives after a time are those of other noise, the answers until
@@ -84,7 +84,7 @@ def measure_look_ahead(
 
 
 def change_later(sensors: SensorData, other: SensorData, after: float) -> SensorData:
-    """Return a record with the values of other noise in all that arrives after a time [s]."""
+    """Return a record in which all data that arrive after a time [s] have other noise."""
     changed = {}
     for one in fields(sensors):
         record, source = getattr(sensors, one.name), getattr(other, one.name)

@@ -1,4 +1,4 @@
-"""The Estimator protocol, what bench asks of any filter, and the contract users can run on their own."""
+"""The Estimator protocol: the interface of every filter, and a check that users can run."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ def catch_exit(name: str, part: str) -> Iterator[None]:
 
 
 def make_failure(name: str, part: str, error: BaseException) -> EstimatorFailedError:
-    """Return that a part of a filter raised an error."""
+    """Return the error for an exception in a part of a filter."""
     what = one_line("".join(traceback.format_exception_only(error)).strip()[:_LONGEST])
     return EstimatorFailedError(f"filter {name!r}: {part} raised {what}")
 
@@ -94,7 +94,7 @@ _ENDS = (0.3, 0.31, 0.8)  # of pieces, as parts of the samples
 
 
 def construct(use: str, factory: Callable[..., Estimator], options: Mapping[str, Any]) -> Estimator:
-    """Build a filter from the keywords it takes.
+    """Build a filter from its keyword arguments.
 
     Raises
     ------
@@ -118,7 +118,7 @@ def check_needs(
     estimator: Estimator, name: str, records: Collection[str], place: str = "[sensors]", *,
     specs: AssumedSpecs | None = None,
 ) -> None:  # fmt: skip
-    """Check before the flight that a filter will get the records it needs, and sensors it takes.
+    """Check before the flight that a filter gets the records it needs and supports the sensors.
 
     ``records`` are the names of those there will be; ``place`` is where messages say they come from.
 
@@ -139,7 +139,7 @@ def check_needs(
 
 
 def ask_refusal(estimator: Estimator, name: str, specs: AssumedSpecs) -> str:
-    """Return why a filter rejects sensors with such datasheets, in words; "" if it takes them.
+    """Return the reason why a filter rejects sensors with these datasheets; "" if it supports them.
 
     Raises
     ------
@@ -158,7 +158,7 @@ def ask_refusal(estimator: Estimator, name: str, specs: AssumedSpecs) -> str:
 
 
 def find_same(built: Mapping[str, Estimator], sensors: SensorData) -> dict[str, str]:
-    """Return the label of each filter that is the same as an earlier one on this record, and of that one.
+    """Return the labels of filters that equal an earlier filter on this record, with the earlier label.
 
     Those that can tell have a method ``identity(sensors) -> Hashable``: of two with the same identity the
     solutions are the same.
@@ -199,7 +199,7 @@ def answer(estimator: Estimator, name: str, sensors: SensorData, initial: Initia
 
 
 def accept(name: str, found: object) -> NavSolution:
-    """Return an answer of a filter, as `answer_check.check_solution` does.
+    """Return the solution of a filter, checked by `answer_check.check_solution`.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Around a filter of another library: fixes in the order they arrive, and its states as a solution."""
+"""Adapters for filters of other libraries: fixes in order of arrival, and states as a solution."""
 
 from __future__ import annotations
 

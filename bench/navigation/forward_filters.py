@@ -1,4 +1,4 @@
-"""The compiled filters that run forward, and what makes each what it is."""
+"""The compiled forward filters, with the fixed options of each."""
 
 from __future__ import annotations
 

@@ -77,7 +77,7 @@ def turn_kernel(nav: FloatArray, x: float, y: float, z: float, left: bool) -> No
 
 @kernel
 def tilt_between_kernel(nav: FloatArray, other: FloatArray, out: FloatArray) -> None:
-    """Fill out (3,) with the turns that take the attitude of other to nav's: about down, then the tilt.
+    """Fill out (3,) with the rotations from the attitude of other to nav: about down, then the tilt.
 
     The third is the turn about down, at most pi; the first two are a rotation vector along n [rad].
     """

@@ -1,4 +1,4 @@
-"""A filter that takes a record in pieces, of a hundredth of a second or an hour, and ends as on the whole.
+"""Filter for a record in pieces of any length, with the same result as for the whole record.
 
 A measurement arrives later than its time of validity, and a filter that has passed that time can no longer
 compare it with its state. So the filter processes a piece only up to ``look_back`` before its last sample;
@@ -36,7 +36,7 @@ _LONGEST = 200  # characters of an error in a message
 
 
 class PieceFilter(SessionState):
-    """A filter on its way through a record; `bench.open_filter` makes one.
+    """Filter that processes a record in pieces; `bench.open_filter` returns it.
 
     Parameters
     ----------
@@ -89,7 +89,7 @@ class PieceFilter(SessionState):
 
     @property
     def t(self) -> float:
-        """Instant of the last IMU sample that was taken [s]."""
+        """Time of the last processed IMU sample [s]."""
         if self.passage is not None:
             return self.passage.end
         return self.initial.t if self.waiting is None else newest_sample(self.waiting)
@@ -133,7 +133,7 @@ class PieceFilter(SessionState):
             return self._take(piece, last=False)
 
     def current(self) -> NavSolution:
-        """Return state and covariance at the last IMU sample, by all that has arrived; no bit changes.
+        """Return state and covariance at the last IMU sample from all data so far; the filter is unchanged.
 
         One row; NaN while the start is not known. It is the answer of the whole record, were this its end.
         """
@@ -144,7 +144,7 @@ class PieceFilter(SessionState):
             return self._accept(self.passage.copy().current(self.head))
 
     def finish(self) -> NavSolution:
-        """Return the answers that are left; nothing comes any more.
+        """Return the rest of the solution at the end of the data.
 
         Raises
         ------
@@ -159,7 +159,7 @@ class PieceFilter(SessionState):
         return solution
 
     def state(self) -> dict[str, Any]:
-        """Return all that the filter carries, as arrays, numbers and words by name; no options or datasheets.
+        """Return the state of the filter as arrays, numbers and words by name, without options or datasheets.
 
         Raises
         ------
@@ -199,7 +199,7 @@ class PieceFilter(SessionState):
 
     @contextmanager
     def _doubt_the_file(self) -> Iterator[None]:
-        """Add the saved state that the filter resumed from to an error of another kind."""
+        """Add the name of the saved state to errors that it may have caused."""
         try:
             yield
         except EstimatorError:
@@ -236,7 +236,7 @@ class PieceFilter(SessionState):
             self.head = replace(head, antenna_b=piece.antenna_b)
 
     def _take(self, piece: SensorData, *, last: bool) -> NavSolution:
-        """Take a piece; of the ``last`` one all answers are final."""
+        """Process a piece; after the ``last`` piece the whole solution is final."""
         if self.passage is None:
             self.waiting = piece if self.waiting is None else join_pieces(self.waiting, piece)
             begun = self._begin(self.waiting, last)
@@ -246,11 +246,11 @@ class PieceFilter(SessionState):
         return self._accept(self.passage.update(piece, self.look_back, last=last))
 
     def _accept(self, found: NavSolution) -> NavSolution:
-        """Return an answer, checked if the filter is a foreign class."""
+        """Return a solution, checked if the filter is user code."""
         return accept(self.use, found) if ":" in self.use else found
 
     def _begin(self, record: SensorData, last: bool) -> InPieces | None:
-        """Return the filter at its start, None while the record may still change that."""
+        """Return the filter at its start; None while more data may change the start."""
         initial, events = self.initial, list[EventRow]()
         if initial.alignment != "given" and not getattr(self.estimator, "finds_start", False):
             found = self.search.find(record, self.look_back, last=last)

@@ -1,4 +1,4 @@
-"""The options of the built-in filters: each declared once, with its limits, default and a line of words.
+"""Options of the built-in filters: each declared once, with limits, default and a description.
 
 A constructor and a profile are checked against the same model; an option of a profile is wrong before the
 flight. Adding an option is a field here and its use in the estimator.
@@ -90,7 +90,7 @@ class GateOptions(Options):
 
 
 class FixOptions(GateOptions):
-    """Options of the filters that weigh every fix by itself."""
+    """Options of the filters that weight each fix separately."""
 
     fix_accuracy: FixAccuracy = "auto"
     """Source of the noise of a fix: the datasheet, the value that the receiver reports, or the larger.
@@ -188,7 +188,7 @@ class FusionOptions(IntegrityOptions, AidingOptions):
 
     @property
     def tight(self) -> bool:
-        """Return whether GNSS is used by satellite."""
+        """Return whether the filter uses the ranges of single satellites."""
         return False
 
     @model_validator(mode="after")
@@ -224,12 +224,12 @@ class TightOptions(FusionOptions):
 
     @property
     def tight(self) -> bool:
-        """Return whether GNSS is used by satellite."""
+        """Return whether the filter uses the ranges of single satellites."""
         return True
 
 
 class SmootherOptions(FusionOptions):
-    """Options of the smoother: which filter runs forward, and the options of that."""
+    """Options of the smoother: the forward filter, and the options of this filter."""
 
     over: Literal["loose-15", "loose-22", "loose-mems", "loose-full", "tight"] = "loose-full"
     """The forward filter."""
@@ -240,7 +240,7 @@ class SmootherOptions(FusionOptions):
     @model_validator(mode="before")
     @classmethod
     def _fix(cls, given: dict[str, Any]) -> dict[str, Any]:
-        """Return the options with those that make the forward filter what it is."""
+        """Return the options with the fixed options of the forward filter added."""
         over = given.get("over", "loose-full")
         states = FORWARD.get(over, {}) if isinstance(over, str) else {}
         wrong = [
@@ -252,7 +252,7 @@ class SmootherOptions(FusionOptions):
 
     @property
     def tight(self) -> bool:
-        """Return whether GNSS is used by satellite."""
+        """Return whether the filter uses the ranges of single satellites."""
         return self.over == "tight"
 
 
@@ -347,7 +347,7 @@ _T = TypeVar("_T")
 
 
 def _whole(options: _T, wrong: list[str]) -> _T:
-    """Return options whose fields are right one by one, or reject what does not hold between them."""
+    """Return options with valid fields, or reject contradictions between fields."""
     if wrong:
         raise PydanticCustomError("whole", "{words}", {"words": "; ".join(wrong)})
     return options
@@ -382,7 +382,7 @@ def _lines(model: type[Options], error: ValidationError, fixed: Mapping[str, Any
 
 
 def described(model: type[Options]) -> list[tuple[str, str, str]]:
-    """Return name, default and words of each option; a dash is the default of one that is left out."""
+    """Return name, default and description of each option; a dash stands for a default of None."""
     words = read_words(model)
     return [
         (name, "-" if field.default is None else as_toml(field.default), words[name])

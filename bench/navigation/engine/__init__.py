@@ -1,1 +1,1 @@
-"""Time and trust: what of a record comes when, what may be trusted, and how it is kept between pieces."""
+"""Order and trust of data: which rows of a record are used when, and the state between pieces."""

@@ -1,4 +1,4 @@
-"""End of a filter with a state beyond the Earth: its answers from then on are blanked."""
+"""End of a filter with an impossible position: later solutions are blanked."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ HIGHEST, FASTEST = 1e7, 1e5
 
 
 class Earthbound(SessionState):
-    """Blanks answers from the first on that is beyond the Earth, in all pieces of a record."""
+    """Blanks the solution from the first impossible position on, in all pieces of a record."""
 
     left: Kept[float]  # time of that answer [s]
 

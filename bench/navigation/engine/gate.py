@@ -1,4 +1,4 @@
-"""The gate: what becomes of a measurement after its tests, what is remembered of it, and the log of all.
+"""The gate: the decision on a measurement after its tests, the memory of each channel, and the log.
 
 Compiled filters call the kernels, filters in Python an :class:`InnovationGate` around the same kernels.
 """
@@ -34,7 +34,7 @@ Refused = dict[int, tuple[float, float, int]]
 
 
 class Trust(NamedTuple):
-    """Memory of a gate for each channel: a part of a sensor that is tested by itself.
+    """Memory of a gate for each channel; a channel is a part of a sensor that is tested separately.
 
     Channels 0 and 1 are position and velocity of a fix.
     """
@@ -94,7 +94,7 @@ def refusals(
     *,
     last: bool,
 ) -> list[EventRow]:
-    """Return an event for every row of rejections of one channel that has ended, from its first to its last.
+    """Return an event for every finished series of rejections of a channel, from the first to the last.
 
     ``so_far`` holds those of earlier pieces that have not; after the ``last`` piece all have.
     """
@@ -133,7 +133,7 @@ def decide_kernel(
     satellites: int,
     trust: Trust,
 ) -> int:
-    """Return what becomes of a measurement at t [s], and remember it (A-5.4.7).
+    """Decide on a measurement at t [s], and remember the decision (A-5.4.7).
 
     ``sound``: it passes its tests; ``drifted``: it fails by a drift of the filter (:func:`drift_kernel`);
     ``opens``: the filter has states that may have made a step, and can grow for it. After
@@ -164,7 +164,7 @@ def decide_kernel(
 
 @kernel
 def returns_kernel(t: float, trust: Trust) -> bool:
-    """Return whether a fix comes after an outage: none was there, used or rejected.
+    """Return whether a fix comes after an outage, in which no fix was used or rejected.
 
     Channels 0 and 1 are its position and velocity.
     """
@@ -176,7 +176,7 @@ def returns_kernel(t: float, trust: Trust) -> bool:
 def moves_kernel(
     t: float, y: FloatArray, var: FloatArray, limit: float, readmit_after_s: float, trust: Trust
 ) -> bool:
-    """Return whether rejected fixes have moved as their velocities for readmit_after_s; remember this one.
+    """Return whether rejected fixes moved as their velocities for readmit_after_s; remember this fix.
 
     A receiver that is right where the filter is wrong does; one whose output is frozen, or whose position
     alone is pulled away, does not, and is not re-admitted. y (6,) are the innovations of position [m] and
@@ -203,7 +203,7 @@ def moves_kernel(
 
 @kernel
 def drift_kernel(position: float, velocity: float, both: float, apart: float, limit: float) -> bool:
-    """Return whether a position is beyond the gate by a drift while there were no fixes, not by a fault.
+    """Return whether a position is beyond the gate because of a drift without fixes, not because of a fault.
 
     A drift moves the velocity, too, a step of the receiver the position alone. So the velocity of the fix has
     to be beyond the gate as well; or to be expected once the position is used, if the filter reports
@@ -216,7 +216,7 @@ def drift_kernel(position: float, velocity: float, both: float, apart: float, li
 
 @kernel
 def contradicts_kernel(position: float, velocity: float, both: float, limit: float) -> bool:
-    """Return whether position and velocity of a fix are possible one by one, and not together.
+    """Return whether position and velocity of a fix are each within the gate, but not together.
 
     After an outage the position may be anywhere within kilometers, and the velocity tells where: a fix whose
     position was moved alone passes both gates, and would turn the velocity and the attitude. Given are the
@@ -286,7 +286,7 @@ def note_kernel(
 
 
 def growth(verdict: int, x: FloatArray, H: FloatArray, e: FloatArray, opens: BoolArray) -> FloatArray:
-    """Return columns E (n, m + 1): P grows by E E' where compiled filters let an array grow in place.
+    """Return columns E (n, m + 1): P grows by E E', as in compiled filters in place.
 
     `kalman.open_kernel` says why. ``x`` (n,) is the correction that the filter rejected, P H' S^-1 e; H (m,
     n) and e (m,) are those of the sub-vector, ``opens`` (n,) the states that may have made a step.
@@ -333,7 +333,7 @@ class InnovationGate(SessionState):
         drifts: bool = True,
         opens: bool = True,
     ) -> int:
-        """Return what becomes of a measurement, and log it.
+        """Decide on a measurement, and log it.
 
         It is measured less predicted z (m,) of variances S (m,), with the NIS ``value``. ``drifts``: a drift
         of the filter may be why it is not sound.
@@ -350,7 +350,7 @@ class InnovationGate(SessionState):
         return int(verdict)
 
     def see_fix(self, t: float, y: FloatArray, S: FloatArray, r: FloatArray) -> None:
-        """See a fix with a velocity before its parts are decided on (:func:`fix_kernel`).
+        """Process a fix with a velocity before the decision on its parts (:func:`fix_kernel`).
 
         y (6,) and S (6, 6) are in axes that do not turn, r (3,) the variance of its position.
         """
@@ -368,7 +368,7 @@ class InnovationGate(SessionState):
         self.drifted, self.moves, self.contradicts = False, True, False
 
     def take(self, *, last: bool) -> tuple[Innovations, list[EventRow]]:
-        """Return the innovations, and events of rejections that have ended, since this was called last."""
+        """Return the innovations and the events of finished rejections since the last call."""
         numbers = np.array(self._numbers).reshape(-1, 4).T
         marks = np.array(self._marks, np.int64).reshape(-1, 4).T
         self._numbers, self._marks = [], []

@@ -1,4 +1,4 @@
-"""The range of an IMU: a saturated sample only shows that the true value is at least as large."""
+"""Range of an IMU: of a saturated sample, only a lower bound of the true value is known."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def limits(spec: ImuSpec) -> tuple[float, float]:
 
 
 def find_beyond(imu: ImuData, spec: ImuSpec) -> list[tuple[str, BoolArray]]:
-    """Return masks (N,) of the rows of an IMU record at or beyond the range of a triad, each after its text.
+    """Return masks (N,) of IMU rows at or beyond the range of a triad, each with its text.
 
     A row counts for one triad only. A row that the IMU flags as invalid counts if the datasheet has a range,
     with a tolerance of a quantization step.
@@ -47,7 +47,7 @@ def find_beyond(imu: ImuData, spec: ImuSpec) -> list[tuple[str, BoolArray]]:
 
 
 def count_lost(counts: dict[str, int], imu: ImuData, rows: slice, spec: ImuSpec) -> dict[str, int]:
-    """Return counts of unused samples increased by some rows: of all rows, and by the text of a range."""
+    """Return the counts of unused samples, increased by some rows: in total, and for each text of a range."""
     if not len(imu.t[rows]):
         return counts
     lost = take_rows(imu, rows)
@@ -56,6 +56,6 @@ def count_lost(counts: dict[str, int], imu: ImuData, rows: slice, spec: ImuSpec)
 
 
 def name_ranges(lost: dict[str, int]) -> str:
-    """Return how many of the samples without use are at the end of a range, in words; "" if none is."""
+    """Return the number of unused samples at the end of a range in words; "" if there are none."""
     parts = [f"{n} of {lost[_ALL]} samples have the {why}" for why, n in lost.items() if n and why != _ALL]
     return f" ({' and '.join(parts)})" if parts else ""

@@ -1,4 +1,4 @@
-"""Measurements made from the samples of an IMU at the ends of intervals, however the record is cut."""
+"""Measurements from IMU samples at the ends of intervals, independent of the division of the record."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class ImuSampler(SessionState, ABC):
 
     @abstractmethod
     def measure(self, imu: ImuData, last: IntArray) -> tuple[BoolArray, FloatArray, FloatArray]:
-        """Return which intervals count, (W,), their values (W, m) and variances (6,).
+        """Return a mask (W,) of the intervals to use, their values (W, m) and the variances (6,).
 
         They end with the samples ``last`` (W,).
         """

@@ -1,4 +1,4 @@
-"""Is a measurement sound? Tests of an innovation sub-vector, and how long an uncorrected navigator may run.
+"""Tests of an innovation sub-vector, and the longest time without corrections.
 
 Sources: A-5.4.6 and A-5.4.7 (innovations), A-5.4.T (tolerance), A-5.4.10 (correction period). Pure functions;
 the filters decide what to do with the answer.
@@ -52,7 +52,7 @@ def trace_ratio(y: ArrayLike, S: ArrayLike) -> float:
 def tolerance(
     interval: float, sd: ArrayLike, *, order: int, max_acceleration: float, sigmas: float
 ) -> FloatArray:
-    """Return how far a fix may lie from the last accepted one carried on by the INS (A-5.4.T).
+    """Return the tolerance of a fix to the last accepted fix, propagated by the INS (A-5.4.T).
 
     Parameters
     ----------

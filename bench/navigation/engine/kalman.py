@@ -39,7 +39,7 @@ def nis_kernel(
 
 @kernel
 def find_columns_kernel(H: FloatArray, at: IntArray) -> None:
-    """Fill at (m, n + 1) with how many columns of each row of H (m, n) are not zero, and with which."""
+    """Fill at (m, n + 1) with the number and the indices of the nonzero columns of each row of H (m, n)."""
     for a in range(H.shape[0]):
         found = 0
         for j in range(H.shape[1]):
@@ -89,7 +89,7 @@ def nis_of_kernel(
 
 @kernel
 def stretch_kernel(P: FloatArray, H: FloatArray, work: FloatArray, row: FloatArray) -> None:
-    """Let P (n, n) grow by x x', x = P H' S^-1 e the correction that the filter rejected; ``row`` ends as x.
+    """Add x x' to P (n, n), with the rejected correction x = P H' S^-1 e; ``row`` ends as x.
 
     An error along the covariance explains the innovation then. A smoother's P stays as it is: the gain of
     its backward pass is that of an error which has been too large all along. ``work`` (m, m + 1) is as
@@ -122,7 +122,7 @@ def open_kernel(
     work: FloatArray,
     row: FloatArray,
 ) -> None:
-    """Let P (n, n) grow until the innovation e (m,) the filter rejected is to be expected (A-5.4.7).
+    """Inflate P (n, n) until the rejected innovation e (m,) is consistent with it (A-5.4.7).
 
     A step of the states ``opens`` (n,) alone explains it, the least that does. If the filter may be ``lost``,
     so does an error along the covariance (:func:`stretch_kernel`): P grows by both, and the next measurements
@@ -151,7 +151,7 @@ def open_kernel(
 
 @kernel
 def open_all_kernel(P: FloatArray, before: FloatArray, size: float, opens: BoolArray) -> None:
-    """Let P (n, n), and ``before`` with it, grow by a step of some size of each of the states ``opens``.
+    """Inflate P (n, n) and ``before`` by a step of a size of each of the states ``opens``.
 
     For a row that is one of many rejected together: which of the states made the step, the others tell.
     """

@@ -28,11 +28,11 @@ class Rows(NamedTuple):
     number: IntArray  # (M,) of satellites: the epoch in the sky
 
     def take(self, rows: Any) -> Rows:
-        """Return some of them."""
+        """Return selected measurements."""
         return Rows(*(column[rows] for column in self))
 
     def joined(self, other: Rows) -> Rows:
-        """Return these and others."""
+        """Return these and other measurements as one."""
         return Rows(*(np.concatenate(pair) for pair in zip(self, other, strict=True)))
 
 
@@ -52,7 +52,7 @@ def columns(record: Any) -> dict[str, Any]:
 
 
 def take_rows(record: _Record, rows: Any) -> _Record:
-    """Return rows of a record of columns; of satellites in the epochs that have any."""
+    """Return rows of a record; the epochs of a satellite record without rows are dropped."""
     if not isinstance(record, GnssObservations):
         return type(record)(*(getattr(record, name)[rows] for name in _names(type(record))))
     counts = np.bincount(record.epoch[rows])

@@ -1,4 +1,4 @@
-"""Scalar updates with a delayed change of P, so that a measurement of many rows changes P once.
+"""Scalar updates with a delayed change of P: a measurement of many rows changes P only once.
 
 An update by z = h' dx + v, var v = r, subtracts g g' from P, g = P h / sqrt(s) and s = h' P h + r: the Joseph
 form with the best gain (A-5.4.5). It subtracts the same from both sides of the diagonal, so that P stays
@@ -23,7 +23,7 @@ _SHRINKS = 1e6
 
 
 class LateUpdates(NamedTuple):
-    """Updates that P (n, n) lacks, and the rows under way; matrices are `wide_rows.wide`."""
+    """Updates not yet applied to P (n, n), and the rows in progress; matrices are `wide_rows.wide`."""
 
     G: FloatArray  # (DEPTH, n) g of each update
     HP: FloatArray  # (6, n) rows of a sub-vector times P
@@ -48,7 +48,7 @@ def _lower_kernel(H: FloatArray, a: int, first: int, last: int, late: LateUpdate
 
 @kernel
 def late_rows_kernel(P: FloatArray, H: FloatArray, late: LateUpdates, count: int) -> None:
-    """Fill at, and HP with the rows H (m, n) times the P that ``count`` updates which wait would leave."""
+    """Fill at, and HP with H (m, n) times the P after ``count`` pending updates."""
     HP, at, width = late.HP, late.at, late.HP.shape[1]
     find_columns_kernel(H, at)
     for a in range(H.shape[0]):
@@ -62,7 +62,8 @@ def late_rows_kernel(P: FloatArray, H: FloatArray, late: LateUpdates, count: int
 def late_update_kernel(
     P: FloatArray, dx: FloatArray, H: FloatArray, z: FloatArray, r: FloatArray, late: LateUpdates, count: int
 ) -> int:
-    """Update dx (n,) by the rows H (m, n) of z (m,), HP and at filled; return how many updates wait then."""
+    """Update dx (n,) by the rows H (m, n) of z (m,), HP and at filled; return how many updates are
+    pending."""
     HP, at, n = late.HP, late.at, dx.shape[0]
     for a in range(H.shape[0]):
         s, e = r[a], z[a]
@@ -83,7 +84,7 @@ def late_update_kernel(
 
 @kernel
 def settle_kernel(P: FloatArray, late: LateUpdates, count: int) -> int:
-    """Take the updates that wait off P; return 0, the number that wait then."""
+    """Apply the pending updates to P; return 0, the number that remain pending."""
     G, k, n, width = late.G, 0, P.shape[0], P.shape[1]
     while k + 4 <= count:
         a, b, c, d = G[k], G[k + 1], G[k + 2], G[k + 3]

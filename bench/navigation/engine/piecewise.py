@@ -29,15 +29,15 @@ _COUNTED = re.compile(r"(\w+): (\d+) (.*)")
 
 
 class InPieces(Protocol):
-    """A filter on its way through a record that comes in pieces."""
+    """Filter that processes a record in pieces."""
 
     @property
     def end(self) -> float:
-        """Instant of the last IMU sample taken, or of the start [s]."""
+        """Time of the last processed IMU sample, or of the start [s]."""
         ...
 
     def update(self, piece: SensorData, look_back: float, *, last: bool) -> NavSolution:
-        """Take the next piece; return the answers that nothing can change any more.
+        """Process the next piece; return the solution at the epochs that later data cannot change.
 
         Parameters
         ----------
@@ -61,7 +61,7 @@ class InPieces(Protocol):
         ...
 
     def current(self, head: SensorData) -> NavSolution:
-        """Return state and covariance at :attr:`end`, were that the end of the record: one row.
+        """Return the solution at :attr:`end` as if the record ended there, in one row.
 
         It may change the filter: callers ask a copy. ``head`` is a piece without rows.
         """
@@ -72,7 +72,7 @@ class InPieces(Protocol):
         ...
 
     def state(self) -> dict[str, Any]:
-        """Return what is carried from one piece to the next, as arrays, numbers and words by name."""
+        """Return the state between two pieces, as arrays, numbers and words by name."""
         ...
 
     def restore(self, state: Mapping[str, Any]) -> None:
@@ -81,7 +81,7 @@ class InPieces(Protocol):
 
 
 class KnowsImuErrors(InPieces, Protocol):
-    """A filter with states for what adds to the biases of the IMU."""
+    """Filter with states for errors that add to the biases of the IMU."""
 
     def steady_errors(self) -> tuple[FloatArray, FloatArray]:
         """Return the errors (6,) of gyros and accelerometers at the end in level flight, and their sd."""
@@ -117,20 +117,20 @@ class RunsInPieces(Protocol):
 
 
 def answer_now(filter_: InPieces, head: SensorData) -> NavSolution:
-    """Return the last of the answers to a record that ends with what a filter has taken."""
+    """Return the solution at the end of the data that a filter has processed."""
     solution = filter_.update(replace(head, output_t=np.array([filter_.end])), 0.0, last=True)
     return solution if len(solution) == 1 else take_answers(solution, slice(-1, None))
 
 
 def take_answers(solution: NavSolution, rows: slice) -> NavSolution:
-    """Return some of the answers of a solution, with its innovations and events."""
+    """Return selected epochs of a solution, with all innovations and events."""
     found: dict[str, Any] = {f.name: getattr(solution, f.name) for f in fields(solution)}
     found = {name: one[rows] for name, one in found.items() if isinstance(one, np.ndarray)}
     return replace(solution, **found)
 
 
 def take_after(answered: float, told: float, solution: NavSolution) -> NavSolution:
-    """Return a solution without answers until one time, and innovations and events until another [s]."""
+    """Return a solution after one time, with innovations and events after another time [s]."""
     if np.isfinite(answered):
         solution = take_answers(solution, slice(int(np.searchsorted(solution.t, answered, "right")), None))
     table = solution.innovations
@@ -143,7 +143,7 @@ def take_after(answered: float, told: float, solution: NavSolution) -> NavSoluti
 
 
 def join_solutions(parts: list[NavSolution]) -> NavSolution:
-    """Return solutions that follow on each other, of the same states and sensors, as one."""
+    """Join successive solutions with the same states and sensors."""
     parts = [one for one in parts if len(one) or one.extra_names] or parts[:1]  # others know nothing yet
     if len(parts) == 1:
         return parts[0]
@@ -154,7 +154,7 @@ def join_solutions(parts: list[NavSolution]) -> NavSolution:
 
 
 class JoinedSolution:
-    """Solutions that follow on each other, as one with ``count`` answers: on disk if these are many."""
+    """Successive solutions as one with ``count`` epochs, on disk if there are many."""
 
     def __init__(self, count: int) -> None:
         self._count, self._filled = count, 0
@@ -164,7 +164,7 @@ class JoinedSolution:
         self._events: list[EventRow] = []
 
     def add(self, solution: NavSolution) -> None:
-        """Take the answers that come next; a filter that knows nothing yet has none."""
+        """Append the next part of the solution; a filter that has not started yet has none."""
         if not (len(solution) or solution.extra_names):
             return
         if not self._columns:
@@ -182,7 +182,7 @@ class JoinedSolution:
         self._events += solution.events.rows()
 
     def solution(self, more: Iterable[EventRow] = ()) -> NavSolution:
-        """Return all of it, with more events."""
+        """Return the whole solution, with additional events."""
         return NavSolution(
             **self._columns,
             extra_names=self._names,
@@ -192,7 +192,7 @@ class JoinedSolution:
 
 
 def join_tables(tables: list[Innovations]) -> Innovations:
-    """Return innovations that follow on each other as one table."""
+    """Join successive innovation tables."""
     if not tables:
         return no_innovations()
     joined: dict[str, Any] = {}
@@ -206,7 +206,7 @@ def join_tables(tables: list[Innovations]) -> Innovations:
 
 
 def join_events(rows: list[EventRow]) -> list[EventRow]:
-    """Return the events of parts of a record; those that count the same have their counts added."""
+    """Join the events of parts of a record; counts of the same kind are added."""
     found: list[EventRow] = []
     counts: dict[tuple[str, str, str, str], tuple[float, float, int]] = {}
     for row in rows:
@@ -225,7 +225,7 @@ def join_events(rows: list[EventRow]) -> list[EventRow]:
 
 
 def refuse(what: str, t: float, reached: float) -> None:
-    """Raise the error of what comes after the filter has gone on.
+    """Raise the error for data that arrive too late, after the filter has moved on.
 
     Raises
     ------

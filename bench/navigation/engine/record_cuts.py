@@ -1,4 +1,4 @@
-"""Pieces of a record: cut, joined, and blocks that limit the memory for a record of hours."""
+"""Pieces of a record: cut and join them, and divide long records into blocks to limit memory."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def first_sample(record: SensorData) -> float:
 
 
 def nothing_known(t: FloatArray) -> NavSolution:
-    """Return a solution that knows nothing at epochs t (M,)."""
+    """Return an empty solution: NaN at epochs t (M,)."""
     none = np.full((len(t), 9, 9), np.nan)
     three, four = none[:, 0, :3], none[:, 0, :4]
     return NavSolution(t, three, three, four, three, three, none, (), none[:, 0, :0], none[:, 0, :0])
@@ -41,7 +41,7 @@ def aiding_records(sensors: SensorData) -> dict[str, Any]:
 
 
 def without_orbits(specs: Any) -> Any:
-    """Return datasheets without the true orbits of a sky, which no filter knows."""
+    """Return datasheets without the true satellite orbits, which filters must not get."""
     if specs.gnss is None or specs.gnss.sky is None:
         return specs
     return replace(specs, gnss=replace(specs.gnss, sky=replace(specs.gnss.sky, orbits=None)))
@@ -104,7 +104,7 @@ def arrivals(record: Any) -> FloatArray:
 def cut_piece(
     record: SensorData, samples: slice | IntArray | BoolArray, after: float, until: float
 ) -> SensorData:
-    """Return some IMU samples of a record, and what arrived or is wanted after a time until another [s].
+    """Return some IMU samples of a record, with the arrivals and output times between two times [s].
 
     Both may be infinite; what has no time is there from the begin of the record.
     """
@@ -120,14 +120,14 @@ def cut_piece(
 
 
 def goes_beyond(record: SensorData, t: float) -> bool:
-    """Return whether anything arrives or is wanted after a time [s], IMU samples aside."""
+    """Return whether a measurement or an output time, apart from the IMU, comes after a time [s]."""
     arrival = (one.t_arrival for one in aiding_records(record).values())
     late = any(len(one) and (one > t + TIME_TOLERANCE).any() for one in arrival)
     return late or bool(len(record.output_t) and (record.output_t > t).any())
 
 
 def is_long(record: SensorData) -> bool:
-    """Return whether a record is long enough to go through a filter in blocks."""
+    """Return whether a record is so long that filters process it in blocks."""
     return len(record.imu) > disk_arrays.LONG * disk_arrays.ROWS
 
 

@@ -48,7 +48,7 @@ class SessionState:
         return other
 
     def state(self) -> dict[str, Any]:
-        """Return what is carried from one piece to the next, as arrays, numbers and words by name."""
+        """Return the state between two pieces, as arrays, numbers and words by name."""
         return {name.lstrip("_"): _plain(getattr(self, name)) for name in marked(type(self), "kept")}
 
     def restore(self, state: Mapping[str, Any], place: str = "", specs: AssumedSpecs | None = None) -> None:
@@ -77,14 +77,14 @@ class SessionState:
 
     @classmethod
     def blank(cls) -> Self:
-        """Return an object to restore a state into, where there is none before the first piece."""
+        """Return an object into which a state can be restored, if none exists before the first piece."""
         return cls.__new__(cls)
 
     def make_scratch(self) -> None:
         """Make the memory that a copy does not share."""
 
     def make_parts(self) -> None:
-        """Make the parts with a state of their own, where they are not those before the first piece.
+        """Create the parts with their own state that differ from those before the first piece.
 
         All else has been restored.
         """
@@ -116,7 +116,7 @@ def _find_fields(cls: Any) -> dict[str, Any]:
 
 
 def _find_forked(cls: type) -> tuple[str, ...]:
-    """Return the attributes that a copy has to have of its own."""
+    """Return the attributes that a copy must not share."""
     return tuple(name for name, hint in marked(cls, "kept").items() if "replaced" not in hint.__metadata__)
 
 
@@ -268,7 +268,7 @@ def _rebuild_list(
 
 
 def _array(hint: Any, found: Any, like: Any, place: str, *, grows: bool = False) -> Any:
-    """Return an array of the type, and of the shape of one before the first piece, finite if that is.
+    """Return a checked array: type and shape as before the first piece, and finite if that array is.
 
     An array without rows there gets them with the pieces.
     """
@@ -288,7 +288,7 @@ def _array(hint: Any, found: Any, like: Any, place: str, *, grows: bool = False)
 
 
 def _number(hint: Any, found: Any, like: Any, place: str) -> Any:
-    """Return a number, a truth value or a word; a number is finite if that before the first piece is."""
+    """Return a checked number, truth value or word; finite if the number before the first piece is."""
     if hint is date and isinstance(found, str):
         with suppress(ValueError):
             found = date.fromisoformat(found)
@@ -301,7 +301,7 @@ def _number(hint: Any, found: Any, like: Any, place: str) -> Any:
 
 
 def _holds_parts(hint: Any) -> bool:
-    """Return whether a type is one with a state of its own, or a container of such."""
+    """Return whether a type has a declared state, or is a container of such types."""
     if hasattr(hint, "restore"):
         return True
     return any(_holds_parts(one) for one in get_args(hint) if not isinstance(one, str))
@@ -313,7 +313,7 @@ def _require_names(found: Any, names: list[str], place: str) -> None:
 
 
 def require(good: bool, place: str, wanted: str) -> None:
-    """Raise ValueError with a place and what it must be, unless it is good."""
+    """Raise ValueError with the place and the requirement, unless a condition holds."""
     if not good:
         raise ValueError(f"{place.strip('/')} {wanted}")
 
@@ -327,6 +327,6 @@ def require_rows(place: str, table: Any, names: Iterable[str], count: int) -> No
 
 
 def require_range(name: str, numbers: IntArray, end: int) -> None:
-    """Check that all numbers are places in something of a length."""
+    """Check that all numbers are valid indices for a length."""
     inside = numbers.dtype == np.int64 and bool(((numbers >= 0) & (numbers < end)).all())
     require(inside, name, f"must be whole numbers from 0 to {end - 1}")

@@ -187,7 +187,7 @@ def _inside(instants: FloatArray, ends: FloatArray) -> FloatArray:
 
 
 def imu_rows(imu: ImuData, start: float, spec: ImuSpec) -> tuple[IntArray, FloatArray, list[EventRow]]:
-    """Return the rows of an IMU record to integrate, the interval each one has to cover, and the events.
+    """Return the IMU rows to integrate, the interval that each row covers, and the events.
 
     Parameters
     ----------
@@ -224,7 +224,7 @@ class ImuIntake(SessionState):
     def take(
         self, imu: ImuData, spec: ImuSpec, *, last: bool
     ) -> tuple[IntArray, FloatArray, list[EventRow], IntArray]:
-        """Return what :func:`imu_rows` does of the next piece, and the rows to give again with the next.
+        """Return the result of :func:`imu_rows` for the next piece, and the rows to repeat with a later one.
 
         These are none, or the last one if it leaps ahead: the next row shows whether its time is wild. After
         the ``last`` piece there is none.
@@ -245,7 +245,7 @@ class ImuIntake(SessionState):
         return rows, span, events + (_list_gaps(imu, rows, span) if gaps else []), again
 
     def _hold(self, rows: IntArray, t: FloatArray, last: bool) -> tuple[IntArray, IntArray]:
-        """Return sound rows without a last row that leaps ahead, and that row."""
+        """Return the sound rows without a last row whose time leaps ahead, and this row."""
         before = float(t[rows[-2]]) if len(rows) > 1 else self.before
         count = len(rows)
         if count and not last and t[rows[-1]] > before + LONGEST_BRIDGE:
@@ -255,7 +255,7 @@ class ImuIntake(SessionState):
         return rows[:count], rows[count:]
 
     def _choose(self, imu: ImuData, spec: ImuSpec, last: bool) -> tuple[IntArray, IntArray, list[EventRow]]:
-        """Return the rows in use, those to give again, and the events that count the others."""
+        """Return the rows in use, the rows to repeat, and the events that count the other rows."""
         sound = imu.valid & np.isfinite(imu.t) & np.isfinite(imu.dt) & (imu.dt > 0)
         sound &= np.isfinite(imu.dtheta_b).all(axis=1) & np.isfinite(imu.dvel_b).all(axis=1)
         beyond = find_beyond(imu, spec)
@@ -352,7 +352,7 @@ def fix_rows(fixes: GnssFixes, imu_t: FloatArray, start: float) -> tuple[IntArra
 
 
 def without_velocity(fixes: GnssFixes, rows: IntArray) -> list[EventRow]:
-    """Return the events that count the fixes among some rows that have no velocity; none if all have."""
+    """Return the events that count the fixes without velocity among some rows; none if all have one."""
     finite = np.isfinite(fixes.vel_n[rows]).sum(axis=1)
     if (finite == 3).all():
         return []

@@ -115,7 +115,7 @@ class MovedFixes(SessionState):
         return self._compare(fix)
 
     def _compare(self, fix: FloatArray) -> bool:
-        """Return whether a fix disagrees with those before; if not, later fixes are compared with it."""
+        """Return whether a fix disagrees with earlier fixes; if not, later fixes are compared with it."""
         if not self._passed:
             if not len(self._measures) or fix[_T] < self._measures[0, _T] + WINDOWS[0]:
                 self._measures = np.vstack([self._measures, fix])

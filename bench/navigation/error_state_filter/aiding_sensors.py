@@ -66,7 +66,7 @@ def declared_errors(spec: Any) -> Errors:
 
 @dataclass(frozen=True, slots=True)
 class AidingSensor:
-    """One aiding sensor, its place in the records and what a filter makes of it."""
+    """One aiding sensor, its field in the records and its measurement model."""
 
     option: str  # of the filter, that switches it on
     record: str  # of `SensorData`
@@ -119,7 +119,7 @@ def weigh_fixes(fixes: GnssFixes, gnss: GnssSpec, white: FloatArray, accuracy: F
 
 
 def jumps(gnss: GnssSpec) -> FloatArray:
-    """Return the variance (6,) of the jumps of one epoch [m^2], [m^2/s^2], by how often there is one."""
+    """Return the variance (6,) per epoch due to jumps [m^2], [m^2/s^2], from their size and rate."""
     sd = np.repeat([gnss.pos_h_jump_sd, gnss.pos_v_jump_sd, gnss.vel_jump_sd], [2, 1, 3])
     return np.asarray(min(CHANGES / gnss.rate, 1.0) * sd**2)
 
@@ -191,7 +191,7 @@ def _read_airspeed(
 def _read_radar(
     record: RadarData, radar: RadarSpec, sensors: SensorData, *_: object
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the ellipsoidal height of the IMU: that above the runway and the runway's own."""
+    """Return the ellipsoidal height of the IMU: height above the runway plus height of the runway."""
     return (record.height + sensors.ground_alt)[:, None], np.array([radar.white_sd**2])
 
 
@@ -233,13 +233,13 @@ AIDING = (FIXES, SATELLITES, AIRSPEED, MAGNETOMETER, RADAR, ODOMETER, HEADING, B
 
 
 def records_needed(aiding: Sequence[AidingSensor]) -> tuple[str, ...]:
-    """Return the records a filter cannot work without: GNSS, else the barometer, and those asked for."""
+    """Return the records that a filter requires: GNSS or else the barometer, and the requested sensors."""
     usual = [sensor.record for sensor in aiding if not sensor.on_request]
     return (*usual[:1], *(sensor.record for sensor in aiding if sensor.on_request))
 
 
 def unmodeled(specs: AssumedSpecs, aiding: Iterable[AidingSensor], taken: Collection[str]) -> tuple[str, ...]:
-    """Return the errors of the IMU and of the sensors in use, but those that are ``taken``, in words."""
+    """Return the errors of the IMU and of the sensors in use in words, without the ``taken`` errors."""
     found = list(imu_errors(specs.imu))
     for sensor in aiding:
         spec = getattr(specs, sensor.spec)
@@ -248,7 +248,7 @@ def unmodeled(specs: AssumedSpecs, aiding: Iterable[AidingSensor], taken: Collec
 
 
 def remaining(errors: Iterable[tuple[str, object]], taken: Collection[str]) -> tuple[str, ...]:
-    """Return the words of the errors that a unit has and nothing takes.
+    """Return the errors of a sensor that no state or noise models, in words.
 
     Examples
     --------

@@ -33,7 +33,7 @@ def answers(
     table: Innovations,
     events: Events,
 ) -> NavSolution:
-    """Return the same from covariances (M, 9, 9) and variances (M, shown - 9).
+    """Return a solution from covariances (M, 9, 9) and variances (M, shown - 9) of the other states.
 
     Values that follow on those of the first ``shown`` states are no part of an answer.
     """

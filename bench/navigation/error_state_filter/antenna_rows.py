@@ -122,7 +122,7 @@ def fix_rows_kernel(site: Site, values: FloatArray, H: FloatArray, z: FloatArray
 
 @inner
 def _late_rows_kernel(site: Site, vel_n: FloatArray, H: FloatArray, z: FloatArray) -> None:
-    """Move z (6,) and H (6, n) to the time that a fix shows by the estimated offset of its clock.
+    """Shift z (6,) and H (6, n) to the time stamp of a fix by the estimated clock offset.
 
     z[3:] is the velocity of the antenna, from which the measured ``vel_n`` (3,) is not yet taken. The
     acceleration is that of the IMU, without Coriolis: 2 mm/s at 50 m/s, 0.25 s.

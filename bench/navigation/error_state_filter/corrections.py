@@ -1,4 +1,4 @@
-"""The errors of an IMU as the states have them: taken off its samples, put into rows of H, turned in P.
+"""Estimated errors of an IMU: subtract them from samples, write rows of H, and rotate them in P.
 
 A row ``(state, error, by)`` of drives (`state_processes.States`) says that a state adds to an error
 of the unit, a bias of the gyros or accelerometers, by a factor. F, H and the corrections all follow from
@@ -21,7 +21,7 @@ RATE_NOISE = 16.3
 
 @inner
 def factor_kernel(by: int, dt: float, dth: FloatArray, dv: FloatArray, known: FloatArray) -> float:
-    """Return the integral over dt of what a drive multiplies its state by (`state_blocks`).
+    """Return the integral over dt of the factor that a drive applies to its state (`state_blocks`).
 
     ``known`` begins with the temperature above reference [K] and the range of gyros and accelerometers.
     """
@@ -49,7 +49,7 @@ def factor_kernel(by: int, dt: float, dth: FloatArray, dv: FloatArray, known: Fl
 def constants_kernel(
     state: FloatArray, drives: IntArray, known: FloatArray, bias: FloatArray, slope: FloatArray
 ) -> int:
-    """Fill what a correction (A-5.4.11) takes off in any motion; return the first drive that asks for one.
+    """Fill the constant part of a correction (A-5.4.11); return the first drive that depends on motion.
 
     Of a filter state (n + 1,): bias (6,) is all that acts like a bias of gyros and accelerometers, slope (6,)
     one over their slopes.
@@ -77,7 +77,7 @@ def increments_kernel(
     state: FloatArray, dt: float, drives: IntArray, moving: int, known: FloatArray, dth: FloatArray,
     dv: FloatArray, bias: FloatArray, slope: FloatArray,
 ) -> None:  # fmt: skip
-    """Take the estimated errors out of measured increments over dt, in place (A-5.4.11).
+    """Subtract the estimated errors from measured increments over dt, in place (A-5.4.11).
 
     What an axis measures of a small rate or force along itself is its slope, scale factor and nonlinearity
     together. All other errors are in the measured units, too, so the slope divides them: states that tell the
@@ -108,7 +108,7 @@ def correct_kernel(
     state: FloatArray, dt: float, drives: IntArray, known: FloatArray, dth: FloatArray, dv: FloatArray,
     constants: FloatArray,
 ) -> None:  # fmt: skip
-    """Do both for one sample, with dt = 1 for a mean motion; ``constants`` (2, 6) is memory."""
+    """Correct one sample, with dt = 1 for a mean motion; ``constants`` (2, 6) is memory."""
     bias, slope = constants[0], constants[1]
     moving = constants_kernel(state, drives, known, bias, slope)
     increments_kernel(state, dt, drives, moving, known, dth, dv, bias, slope)
@@ -116,7 +116,7 @@ def correct_kernel(
 
 @inner
 def newest_kernel(last: FloatArray, noise: float, motion: FloatArray) -> bool:
-    """Fill a motion (2, 3) with the newest sample; leave out a rate that may be noise, and return if so.
+    """Fill a motion (2, 3) with the newest sample; return whether its rate may be noise and is set to zero.
 
     Its noise is also in the velocity of the antenna. A row with this noise would attribute it to each state
     that it multiplies (scale factors, heading, the lever arm), at every fix in the same direction.
@@ -180,7 +180,7 @@ def axes_kernel(
 
 @inner
 def _force_kernel(errors: FloatArray, drives: IntArray, factor: FloatArray, force: FloatArray) -> None:
-    """Fill force (3,): the error of the accelerometers in all, by the errors (n,) of the states."""
+    """Fill force (3,) with the total error of the accelerometers from the errors (n,) of the states."""
     for i in range(3):
         force[i] = errors[ACCEL + i]
     d = 0
@@ -228,7 +228,7 @@ def reset_kernel(
 
 @inner
 def _turn_columns_kernel(row: FloatArray, turn: FloatArray, drives: IntArray, factor: FloatArray) -> None:
-    """Turn the errors that a row (n,) of P is of."""
+    """Rotate the errors of a row (n,) of P."""
     s, c, force = turn[3, 0], turn[3, 1], turn[4]
     row[PHI], row[PHI + 1] = c * row[PHI] + s * row[PHI + 1], c * row[PHI + 1] - s * row[PHI]
     _force_kernel(row, drives, factor, force)
@@ -238,7 +238,7 @@ def _turn_columns_kernel(row: FloatArray, turn: FloatArray, drives: IntArray, fa
 
 @kernel
 def turn_rows_kernel(H: FloatArray, turn: FloatArray, drives: IntArray, factor: FloatArray) -> None:
-    """Turn rows H (m, n) of measurements as :func:`reset_kernel` turns the errors they are of."""
+    """Rotate rows H (m, n) of measurements as :func:`reset_kernel` rotates the errors."""
     s, c, force = turn[3, 0], turn[3, 1], turn[4]
     for a in range(H.shape[0]):
         row = H[a]

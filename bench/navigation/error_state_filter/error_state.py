@@ -231,7 +231,7 @@ def covariance_kernel(
     factor: FloatArray,
     work: CovarianceWork,
 ) -> None:
-    """Replace P (n, n) by Phi P Phi' + diag(noise), but for rows 9 and on of its first nine columns.
+    """Replace P (n, n) by Phi P Phi' + diag(noise), except in the first nine columns of rows 9 and on.
 
     Those are neither read nor written: :func:`mirror_kernel` fills them. Phi is I + G in its first nine rows
     and diag(decay) in the rest, 1 before the state ``fading``; a state ``drives[d, 0]`` acts on the first
@@ -285,7 +285,7 @@ def covariance_kernel(
 
 @kernel
 def mirror_kernel(P: FloatArray) -> None:
-    """Fill what :func:`covariance_kernel` left: P is symmetric."""
+    """Fill the elements that :func:`covariance_kernel` left out, because P is symmetric."""
     for i in range(9, P.shape[0]):
         for j in range(9):
             P[i, j] = P[j, i]

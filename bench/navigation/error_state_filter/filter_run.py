@@ -1,4 +1,4 @@
-"""One forward run of the compiled filter: the kernel, its stores, and the solution made of them."""
+"""One forward run of the compiled filter: the kernel, its stores, and the solution from the stores."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def _keep_kernel(now: FilterState, state: FloatArray, P: FloatArray) -> None:
 
 @inner
 def _answer_kernel(now: FilterState, at: int, stores: Stores) -> None:
-    """Store the state of the filter as an answer."""
+    """Store the state of the filter as an output."""
     P, cov = now.P, stores.cov[at]
     for i in range(stores.state.shape[1]):
         stores.state[at, i] = now.state[i]
@@ -210,7 +210,7 @@ class Nodes:
 
 
 class ForwardRun(SessionState):
-    """A filter on its way through a record.
+    """Filter that processes a record.
 
     ``antenna_b`` is (3,) [m], ``field`` (4, 3) the magnetic field at the start and its change by meter [T],
     n, ``interval`` that of the covariance step [s], 0: every sample. With ``keep`` it stores the nodes of a
@@ -261,7 +261,7 @@ class ForwardRun(SessionState):
         return float(self.work.carried.known[0])
 
     def check(self) -> None:
-        """Check what the filter kernel takes from it."""
+        """Check the data that the filter kernel reads."""
         gate, pending = self.gate, self.pending
         channels, slots, width = len(gate.trust.misses), len(pending.live), pending.width
         require(channels >= len(gate.opens), "misses", f"must have at least {len(gate.opens)} rows")
@@ -279,7 +279,7 @@ class ForwardRun(SessionState):
         require_range("pending/tags (length)", length - 1, LONGEST)
 
     def go(self, schedule: Schedule, channels: Channels, look_back: float) -> tuple[NavSolution, Nodes]:
-        """Return the answers that are final, and with ``keep`` the nodes a smoother goes back over.
+        """Return the final part of the solution, and with ``keep`` the nodes for a smoother.
 
         The schedule forgets what is done. ``look_back`` is how far before the last sample to stop [s]
         (`Schedule.plan`).

@@ -1,4 +1,4 @@
-"""The states that an IMU asks for: biases, and a state or noise for each error of its datasheet."""
+"""States for an IMU: biases, and a state or noise for each error in its datasheet."""
 
 from __future__ import annotations
 

@@ -114,7 +114,7 @@ def _fix_kernel(row: int, first: int, site: Site) -> int:
 def _calibration_kernel(
     state: FloatArray, p: FloatArray, index: Index, H: FloatArray, z: FloatArray, M: FloatArray
 ) -> None:
-    """Add to z (3,) and H (3, n) of a true field p (3,) in b what calibration left in a magnetometer."""
+    """Add the calibration errors of a magnetometer to z (3,) and H (3, n) of a true field p (3,), b."""
     M[:] = 0.0
     for i in range(3):
         if index.mag_iron_b >= 0:
@@ -339,7 +339,7 @@ A sensor whose states a filter does not have stays out until it agrees with the 
 
 
 def opened_states(code: int, layout: StateLayout) -> BoolArray:
-    """Return which states (n,) of a layout open where a sensor is re-admitted (`OPENS`)."""
+    """Return the states (n,) of a layout that are inflated when a sensor is re-admitted (`OPENS`)."""
     opens, names = np.zeros(layout.size, np.bool_), OPENS.get(code, ())
     if all(layout.has(name) for name in names):
         for name in names:
@@ -349,5 +349,5 @@ def opened_states(code: int, layout: StateLayout) -> BoolArray:
 
 @inner
 def tells_heading_kernel(code: int) -> bool:
-    """Return whether a sensor tells the heading itself, not by a motion that may have another cause."""
+    """Return whether a sensor observes the heading directly, not through a motion with other causes."""
     return code in (MAGNETIC, HEADING)

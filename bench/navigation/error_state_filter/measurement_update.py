@@ -1,4 +1,4 @@
-"""A measurement of a compiled filter: its tests, the gate, and the update with what passes."""
+"""Measurement update of a compiled filter: tests, gate, and update with the accepted parts."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ from bench.navigation.error_state_filter.rough_heading import blind_kernel
 
 
 class Gate(NamedTuple):
-    """The tests of a sub-vector (A-5.4.6, A-5.4.7, A-5.4.T), and what is remembered of each channel."""
+    """The tests of a sub-vector (A-5.4.6, A-5.4.7, A-5.4.T), and the memory of each channel."""
 
     nis: FloatArray  # (4,) largest NIS by length of the sub-vector; inf: no test
     trace: float  # largest trace ratio; inf: no test
@@ -61,7 +61,7 @@ class Gate(NamedTuple):
 
 @inner
 def opens_kernel(code: int, opens: BoolArray) -> bool:
-    """Return whether a filter has states that may have made a step where a sensor disagrees."""
+    """Return whether a filter has states that can explain a step of a sensor."""
     i: int = 0
     n: int = opens.shape[1]
     while i < n and not opens[code, i]:
@@ -71,7 +71,7 @@ def opens_kernel(code: int, opens: BoolArray) -> bool:
 
 @inner
 def outvoted_kernel(code: int, first: int, rows: int, pending: Pending, trust: Trust) -> bool:
-    """Return whether half of the satellites of an epoch, or more, agree with the filter in range, or rate.
+    """Return whether at least half of the satellites of an epoch agree with the filter in range or rate.
 
     One that does not is then at fault, not the filter.
     """
@@ -96,7 +96,7 @@ def use_kernel(
     log: InnovationLog,
     work: UpdateWork,
 ) -> None:
-    """Test each sub-vector of a measurement, update with those that pass, log all of them, feed back.
+    """Test each sub-vector of a measurement, update with the accepted ones, log all, and feed back.
 
     ``before`` is the covariance before the measurement that a smoother uses: it grows where P does.
     """

@@ -1,4 +1,4 @@
-"""From one measurement to the next: strapdown at every step, covariance at its own rate.
+"""Propagation between measurements: strapdown at every step, covariance at its own rate.
 
 The arrays a compiled filter works on, by name, and the kernel that moves them in time.
 """
@@ -63,7 +63,7 @@ class Pending(NamedTuple):
 
 
 class MeasureWork(NamedTuple):
-    """Memory of what fills the rows of a measurement, shared with the steps before it."""
+    """Memory for filling the rows of a measurement, shared with the steps before it."""
 
     last: FloatArray  # (2, 3) rate [rad/s] and specific force [m/s^2] of the last step, b, corrected
     force_n: FloatArray  # (3,) the mean force of the last `LATE`, n, where the clock of fixes is estimated
@@ -88,7 +88,7 @@ class Measurements(NamedTuple):
 
 
 class Site(NamedTuple):
-    """State that measurements are compared with, and the place of their rows of H."""
+    """State with which measurements are compared, and the memory of their rows of H."""
 
     now: FilterState
     data: Measurements
@@ -191,7 +191,7 @@ def work_for(n: int, drives: IntArray) -> Work:
 
 
 def pending_for(n: int, slots: int, width: int) -> Pending:
-    """Return the memory for measurements that wait."""
+    """Return the memory for measurements that are made but not yet used."""
     rows = slots * width
     return Pending(
         np.zeros((rows, n)),
@@ -204,7 +204,7 @@ def pending_for(n: int, slots: int, width: int) -> Pending:
 
 
 def grown(pending: Pending, slots: int, width: int) -> Pending:
-    """Return memory for at least so many slots of so many rows, with what waits."""
+    """Return memory for at least some slots of some rows, with the pending measurements copied."""
     have = len(pending.live)
     if have >= slots and pending.width >= width:
         return pending
@@ -236,7 +236,7 @@ def clock_kernel(P: FloatArray, at: int, T: float) -> None:
 
 @inner
 def mean_force_kernel(T: float, newest: FloatArray, force_n: FloatArray) -> None:
-    """Take a mean force (3,) over T into that of the last `LATE`."""
+    """Update the mean force over the last `LATE` with a mean force (3,) over T."""
     share = 1.0 - np.exp(-T / LATE)
     if force_n[0] == 0.0 and force_n[1] == 0.0 and force_n[2] == 0.0:
         share = 1.0
@@ -246,7 +246,7 @@ def mean_force_kernel(T: float, newest: FloatArray, force_n: FloatArray) -> None
 
 @inner
 def fade_kernel(x: float) -> float:
-    """Return exp(-x) of an x below `_SLOW`, as most are, by its series: the next term is below 1e-17."""
+    """Return exp(-x), by its series for the usual x below `_SLOW`: the next term is below 1e-17."""
     value = 1.0
     for k in range(9, 0, -1):
         value = 1.0 - x * _RECIPROCAL[k] * value
@@ -289,7 +289,7 @@ def noise_kernel(
 def wait_kernel(
     T: float, pending: Pending, drives: IntArray, clock: int, work: StepWork, row: FloatArray
 ) -> None:
-    """Carry the rows that wait over the interval whose F, decay and factors ``work`` holds."""
+    """Propagate the pending rows over the interval whose F, decay and factors are in ``work``."""
     width = pending.width
     transition_kernel(work.F, -T, work.back)
     for slot in range(pending.live.shape[0]):
@@ -316,7 +316,7 @@ def advance_kernel(
     part: float,
     ahead: bool,
 ) -> None:
-    """Take the steps k + 1 to ``until``, of the last one a ``part`` (1: all of it).
+    """Propagate over the steps k + 1 to ``until``, the last one only by a ``part`` (1: completely).
 
     A step of the covariance ends after an ``interval`` [s], 0: every sample, and with ``closing`` at the end.
     ``ahead``: rows that wait stay as they are.

@@ -1,4 +1,4 @@
-"""A heading that is hardly known: what the linear error model would make of it, and does not.
+"""Corrections of the linear error model for a heading with a large uncertainty.
 
 With psi the error of the heading, an estimate with an error is an aircraft turned by psi and tilted, its
 motion turned by psi. At rest nothing is turned, so velocity and position tell nothing of psi. The linear
@@ -52,7 +52,7 @@ def motion_share(more2: float, variance: float) -> float:
 
 @kernel
 def steady_kernel(nav: FloatArray, f_n: FloatArray, variance: float, F: FloatArray) -> None:
-    """Let an attitude error turn the horizontal force of a motion, and not the noise of the accelerometers.
+    """Let an attitude error rotate the horizontal force due to motion, but not the accelerometer noise.
 
     Change F (9, 15) of a navigation state (10,) under a mean specific force f_n (3,) [m/s^2], n, of a
     ``variance`` by noise along each axis. What is beyond the force of a steady flight is taken for motion as
@@ -71,7 +71,7 @@ def steady_kernel(nav: FloatArray, f_n: FloatArray, variance: float, F: FloatArr
 
 @kernel
 def stand_kernel(state: FloatArray, T: float, P: FloatArray, F: FloatArray, noise: FloatArray) -> bool:
-    """Take out of F (9, 15) what a roughly known heading does over T [s], while the velocity may be none.
+    """Remove the effect of an uncertain heading from F (9, 15) over T [s], while the vehicle may stand.
 
     Return whether the heading is unknown: its error then begins anew, independent of what it was. P (n, n) of
     a filter state (n + 1,) and the variance ``noise`` (n,) that the interval adds change with it.
@@ -109,7 +109,7 @@ def blind_kernel(state: FloatArray, P: FloatArray, H: FloatArray) -> None:
 
 @inner
 def yaw_kernel(C: FloatArray, H: FloatArray) -> float:
-    """Return the yaw [rad] of C_nb and fill its row H (n,): a tilt of a nose that is up or down turns it."""
+    """Return the yaw [rad] of C_nb and fill its row H (n,), with the effect of tilts at a pitch."""
     level = max(C[0, 0] * C[0, 0] + C[1, 0] * C[1, 0], 1e-6)
     H[6], H[7], H[8] = -C[0, 0] * C[2, 0] / level, -C[1, 0] * C[2, 0] / level, 1.0
     yaw: float = np.arctan2(C[1, 0], C[0, 0])
@@ -117,7 +117,7 @@ def yaw_kernel(C: FloatArray, H: FloatArray) -> float:
 
 
 def add_arm(P: FloatArray, antenna_b: FloatArray) -> None:
-    """Add to P (M, n, n) what an antenna (3,) off the IMU does to its position where the heading is any."""
+    """Add the position error due to a lever arm (3,) with an unknown heading to P (M, n, n)."""
     lost = np.abs(P[:, 8, 8] / UNKNOWN_HEADING_SD**2 - 1.0) < 0.01
     if lost.any():
         for axis in range(2):

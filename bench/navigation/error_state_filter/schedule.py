@@ -1,4 +1,4 @@
-"""The schedule of a filter: its steps, and after which of them it measures, updates and answers.
+"""Schedule of a filter: its steps, and the measurements, updates and outputs after each step.
 
 A record may come in pieces. A schedule plans what is known, and a filter goes no further than to where
 nothing can come any more that is valid before; the rest waits for the next piece.
@@ -113,7 +113,7 @@ class Schedule(SessionState):
         self.last = False
 
     def check(self) -> None:
-        """Check what the step kernels take from it."""
+        """Check the data that the step kernels read."""
         imu, sky = self.imu, self.sky
         for name, rows in (("earlier", self._earlier), ("rows", self.rows)):
             require_range(name, rows, len(imu))
@@ -135,12 +135,12 @@ class Schedule(SessionState):
 
     @property
     def end(self) -> float:
-        """Instant of the last sample in use [s], or of the start."""
+        """Time of the last sample in use, or of the start [s]."""
         return self._intake.newest
 
     @property
     def _last_sample(self) -> float:
-        """The same, -inf without a sample."""
+        """Time of the last sample in use [s]; -inf without a sample."""
         return self.end if self.end > self.start else -np.inf
 
     @property
@@ -149,7 +149,7 @@ class Schedule(SessionState):
         return take_increasing(self.imu.t, self.rows)
 
     def take(self, sensors: SensorData, *, last: bool) -> ImuData:
-        """Take the IMU samples of the next piece and the epochs at which it asks for answers.
+        """Add the IMU samples and output times of the next piece.
 
         Returns
         -------
@@ -261,7 +261,7 @@ class Schedule(SessionState):
     def _admit(
         self, kind: int, name: str, t: FloatArray, arrival: FloatArray, sound: BoolArray
     ) -> tuple[IntArray, FloatArray, FloatArray]:
-        """Return the rows of a record to use, in the order of their arrival, when to measure and to use them.
+        """Return the rows to use in order of arrival, with the times to measure and to use them.
 
         Raises
         ------
@@ -308,13 +308,13 @@ class Schedule(SessionState):
         variance: FloatArray,
         number: IntArray | None = None,
     ) -> None:
-        """Let measurements wait for their step."""
+        """Store measurements until their step."""
         rows = make_rows(kind, t, arrival)
         rows.values[:, : values.shape[1]], rows.variance[:, : variance.shape[-1]] = values, variance
         self.waiting = self.waiting.joined(rows if number is None else rows._replace(number=number))
 
     def plan(self, look_back: float = 0.0) -> StepPlan:
-        """Return what a filter does up to where nothing can come any more that is valid before.
+        """Plan the steps up to a time for which all data have arrived.
 
         After the last piece that is all there is; else ``look_back`` [s] before the last sample.
         """
@@ -348,7 +348,7 @@ class Schedule(SessionState):
         return StepPlan(steps, entries, ahead, slots + 1, rows.values, rows.variance, outputs, waits, go_to)
 
     def _forget_late(self) -> None:
-        """Leave out what waited and never arrives."""
+        """Drop stored measurements that can never arrive."""
         rows = self.waiting
         outside = rows.arrival - TIME_TOLERANCE > self._last_sample
         if outside.any():
@@ -358,7 +358,7 @@ class Schedule(SessionState):
             self.waiting = rows.take(~outside)
 
     def advance(self, plan: StepPlan) -> FloatArray:
-        """Forget what a filter has done by a plan; return the epochs (M,) of the answers that are final."""
+        """Drop the finished part of a plan; return the epochs (M,) with a final solution."""
         final = self.last | (self.output_t < self.start - TIME_TOLERANCE)
         final[plan.outputs] = True
         answered, self.output_t = self.output_t[final], self.output_t[~final]

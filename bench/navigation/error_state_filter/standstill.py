@@ -26,7 +26,7 @@ _GRAVITY_SPREAD = 0.06  # normal gravity between equator, poles and 12 km [m/s^2
 
 
 class StandstillDetector(ImuSampler):
-    """Finds where a unit stood still, over windows of `WINDOW`; values are zero velocity by mean rate.
+    """Detector of standstills of an IMU over windows of `WINDOW`; values are zero velocity and mean rate.
 
     Values are the measured mean rate [rad/s] and force [m/s^2] over each window, b; variances those of the
     velocity, which is zero, and of the rate. With ``gyro_sd``, the sd of the whole error of a gyro [rad/s],
@@ -39,7 +39,7 @@ class StandstillDetector(ImuSampler):
         self.spec, self.gyro_sd = spec, gyro_sd
 
     def measure(self, imu: ImuData, last: IntArray) -> tuple[BoolArray, FloatArray, FloatArray]:
-        """Return in which windows it stood, the mean rates and forces (W, 6) and the variances (6,)."""
+        """Return the windows of standstill, the mean rates and forces (W, 6) and the variances (6,)."""
         spec, end = self.spec, last + 1
         first = np.append(0, end)[: len(last)]
         variance = np.repeat([VELOCITY_SD**2, rate_variance(spec)], 3)
@@ -87,7 +87,7 @@ def rate_variance(spec: ImuSpec) -> float:
 
 
 def _sample_sd(triad: TriadSpec, dt: FloatArray, vibration: float) -> FloatArray:
-    """Return the sd of a sample's rate at rest; 1e-9 of the unit where there is no noise at all."""
+    """Return the standard deviation of a sample at rest; 1e-9 of the unit without any noise."""
     lsb = triad.quantization / dt
     return np.asarray(np.sqrt(triad.random_walk**2 / dt + lsb**2 / 6.0 + vibration**2) + 1e-9)
 

@@ -1,4 +1,4 @@
-"""The states of a filter in blocks; each block says once how its states are called, begin and move.
+"""The states of a filter in blocks; each block declares the names, initial values and processes once.
 
 A state beyond position, velocity, attitude and IMU biases is a :class:`Block` here and its column of H
 (`measurement_rows`, `ranging`), found by :class:`Index`. A state that adds to the
@@ -42,7 +42,7 @@ WIND_WALK = 0.1  # change of the wind as the aircraft moves through it: 2.4 m/s 
 
 
 class Index(NamedTuple):
-    """The first state of each block that a kernel asks for by name; -1 where it is absent."""
+    """Index of the first state of each block that kernels use; -1 if the block is absent."""
 
     baro_bias: int
     gnss_pos: int  # gnss_vel follows
@@ -172,7 +172,7 @@ def state_model(
 
 
 def _correction_order(drive: tuple[int, int, int]) -> tuple[int, ...]:
-    """Return by what rows of drives are sorted, so that each factor is a motion without larger errors.
+    """Return the sort key of drives: each factor then uses a motion without larger errors.
 
     Forces come before rates, for rates are corrected by forces; of each, what does not depend on the motion
     comes first, then what goes by the force on a gyro, by the axis itself, and by the axes across.
@@ -186,7 +186,7 @@ def _correction_order(drive: tuple[int, int, int]) -> tuple[int, ...]:
 def _know_gyro_biases(
     P: FloatArray, drives: IntArray, sd: float, warmth: float, initial: InitialState
 ) -> None:
-    """Let P (n, n) say that biases, and all that adds to them in steady motion, are known to sd [rad/s]."""
+    """Reduce P (n, n): biases and all that adds to them in steady motion are known to sd [rad/s]."""
     f_b = rotation.rotate(rotation.conjugate(initial.q_nb), -earth.gravity_n(initial.lla[0], initial.lla[2]))
     L = steady_rows(drives, f_b, warmth, len(P))[:3]
     own = slice(GYRO, GYRO + 3)
@@ -235,7 +235,7 @@ def _list_states(specs: AssumedSpecs, blocks: list[Block]) -> list[States]:
 
 
 def index_of(layout: StateLayout) -> Index:
-    """Return where the kernels find the blocks of a layout."""
+    """Return the indices of the blocks of a layout, for the kernels."""
     return Index(*(layout.slice(name).start if layout.has(name) else -1 for name in Index._fields))
 
 
@@ -361,19 +361,19 @@ HEADING_ERRORS = Block(
 
 
 def clock_of_fixes(sd: float) -> Block:
-    """Return what has to be added to the times of fixes, known to ``sd`` [s] at the start, a random walk."""
+    """Return the state of the time to add to fixes: a random walk with the initial sigma ``sd`` [s]."""
     states = (States("time_offset", "s", 1, sd**2, CLOCK_WALK**2),)
     return Block("time_offset_sd", lambda _: states, records=("fixes",))
 
 
 def used_blocks(blocks: Iterable[Block], sensors: SensorData, used: Iterable[str]) -> list[Block]:
-    """Return the blocks some record of which is there and ``used``; one that needs none always is."""
+    """Return the blocks with a record that is present and ``used``, and the blocks that need no record."""
     records = {name for name in used if getattr(sensors, name) is not None}
     return [block for block in blocks if not block.records or records & set(block.records)]
 
 
 def chosen_blocks(options: FusionOptions) -> list[Block]:
-    """Return the blocks that the options of a compiled filter ask for, in the order of the layout."""
+    """Return the blocks that the options of a compiled filter select, in the order of the layout."""
     arm, ride = antenna(options.lever_arm_sd), vehicle(options)
     wind = WIND if not options.coordinated else replace(WIND, option="coordinated", records=())
     markov = GNSS_JUMPS if options.every_error else GNSS_MARKOV

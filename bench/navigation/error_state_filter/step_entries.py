@@ -1,4 +1,4 @@
-"""The entries of a plan, in a compiled pass: what is measured, used and answered after which step."""
+"""Entries of a plan, written in a compiled pass: measurements, updates and outputs after each step."""
 
 from __future__ import annotations
 

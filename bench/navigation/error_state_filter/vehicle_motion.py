@@ -1,4 +1,4 @@
-"""Motion along the axes of a vehicle: what wheels or wings do not allow is a measurement of zero.
+"""Motion constraints of a vehicle: the velocity that wheels or wings do not allow is measured as zero.
 
 The velocity of the axle is ``u = C' v_n + w x l``, b, with l the axle as seen from the IMU; that of an
 aircraft through the air is ``u = C' (v_n - wind - gust)``. Either moves along an axis turned from the forward
@@ -49,7 +49,7 @@ class VehicleSampler(ImuSampler):
         self.flying = flying
 
     def measure(self, imu: ImuData, last: IntArray) -> tuple[BoolArray, FloatArray, FloatArray]:
-        """Return that all samples count, their values (W, 8) and variances (6,)."""
+        """Return a mask of all samples, their values (W, 8) and the variances (6,)."""
 
         def mean(increment: FloatArray, span: float) -> FloatArray:
             first = np.searchsorted(imu.t, imu.t[last] - span + 1e-6)

@@ -1,4 +1,4 @@
-"""The states of a vehicle on wheels and of coordinated flight: what `vehicle_motion` measures by."""
+"""States of a vehicle on wheels and of coordinated flight, for the measurements of `vehicle_motion`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The Cartesian frame t of gtsam, fixed to the Earth with the axes of n at the start, and what it leaves out.
+"""The Cartesian frame t of gtsam, fixed to the Earth with the axes n of the start, and its omissions.
 
 In t, v' = C_tb f + g(p) - 2 w_ie x v, and C_tb turns with w_ib less the rate of the Earth: the same as in any
 frame fixed to the Earth. gtsam knows a constant g and no w_ie; both are supplied with the measurements.

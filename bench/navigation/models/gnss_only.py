@@ -1,4 +1,4 @@
-"""Position and velocity from GNSS fixes alone, carried between them by a model of how aircraft manoeuvre.
+"""Position and velocity from GNSS fixes alone, propagated by a maneuver model.
 
 The model, and the filter as a kernel: `singer`. Attitude is not estimated: in wind the
 course is not the heading. The filter runs at the times of validity of the fixes, so latency only lengthens
@@ -74,7 +74,7 @@ class GnssOnly:
 
 
 class FixPassage(SessionState):
-    """The filter on its way through a record that comes in pieces (`piecewise.InPieces`).
+    """The filter for a record in pieces (`piecewise.InPieces`).
 
     Without a given start it begins with the first fix; ``events`` are what went before.
     """
@@ -98,11 +98,11 @@ class FixPassage(SessionState):
 
     @property
     def end(self) -> float:
-        """Instant of the last IMU sample, or of a newer fix in use [s]."""
+        """Time of the last IMU sample, or of a newer fix in use [s]."""
         return self.sampled if self.track is None else max(self.sampled, self.track.t)
 
     def update(self, piece: SensorData, look_back: float, *, last: bool) -> NavSolution:
-        """Take the next piece; return the answers to all that has come with it.
+        """Process the next piece; return its part of the solution.
 
         A fix is used for the next answer wanted, and by ``look_back`` after its arrival without one.
         """
@@ -162,7 +162,7 @@ class FixPassage(SessionState):
         due: float,
         last: bool,
     ) -> tuple[FloatArray, FloatArray]:
-        """Return states (M, 9) and P (M, 9, 9) at the outputs; a fix that arrived by ``due`` needs none."""
+        """Return states (M, 9) and P (M, 9, 9) at the outputs; fixes until ``due`` need no later output."""
         start, arrival = self.initial.t, fixes.t_arrival
         at = np.searchsorted(output_t, arrival - timeline.TIME_TOLERANCE)
         before = arrival <= start - timeline.TIME_TOLERANCE
@@ -195,7 +195,7 @@ class FixPassage(SessionState):
         return x, P
 
     def current(self, head: SensorData) -> NavSolution:
-        """Return state and covariance at :attr:`end`, by all that has arrived."""
+        """Return state and covariance at :attr:`end` from all data that arrived."""
         self.wanted = self.wanted[self.wanted < self.end - timeline.TIME_TOLERANCE]
         self.passed = -np.inf
         return answer_now(self, head)

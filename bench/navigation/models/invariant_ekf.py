@@ -119,18 +119,18 @@ class InvariantFlight(SteppedFilter):
     def step(
         self, now: float, dt: float, dtheta: FloatArray, dvel: FloatArray, unknown: FloatArray, due: bool
     ) -> None:
-        """Go a step on."""
+        """Advance by a step."""
         self.predict(dt, dtheta, dvel, unknown)
         if due:
             self.w_ib_b = dtheta / dt
 
     def measure(self, now: float, arrived: list[Measurement]) -> None:
-        """Use what has arrived."""
+        """Use the measurements that arrived."""
         for _, values, variance in arrived:
             self.use_fix(now, values[:6], variance, values[6:])
 
     def predict(self, dt: float, dtheta: FloatArray, dvel: FloatArray, unknown: FloatArray) -> None:
-        """Carry the filter over a step; ``unknown`` (2,) is what a gap adds to velocity and attitude."""
+        """Propagate over a step; ``unknown`` (2,) is the variance of velocity and attitude due to a gap."""
         turn = dtheta - (self.bias[:3] + self.C_tb.T @ self.frame.w_t) * dt
         push = dvel - self.bias[3:] * dt
         C_tb = self.C_tb
@@ -163,7 +163,7 @@ class InvariantFlight(SteppedFilter):
     def solution(
         self, t: FloatArray, answers: Sequence[FloatArray], events: list[EventRow], *, last: bool
     ) -> NavSolution:
-        """Return answers at epochs (M,) [s], with the innovations since this was called last."""
+        """Return the solution at epochs (M,) [s], with the innovations since the last call."""
         table, refused = self.gate.take(last=last)
         state, cov, variance = answers
         told = Events.from_rows(events + refused)

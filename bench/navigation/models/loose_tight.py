@@ -100,7 +100,7 @@ class Fusion:
         return self._run_whole(self.in_pieces(sensors, initial, events), sensors)
 
     def _run_whole(self, filter_: InPieces, sensors: SensorData) -> NavSolution:
-        """Return the answers of a filter at its start to a whole record, in blocks if that is long."""
+        """Return the solution of a filter for a whole record, in blocks if the record is long."""
         if not is_long(sensors):
             return filter_.update(sensors, 0.0, last=True)
         joined, wait, start = JoinedSolution(len(sensors.output_t)), longest_wait(sensors), filter_.end
@@ -114,7 +114,7 @@ class Fusion:
     def forward(
         self, sensors: SensorData, initial: InitialState, gyros: Gyros = AS_SPECIFIED
     ) -> tuple[NavSolution, list[Nodes], KnowsImuErrors]:
-        """Return a solution, the nodes a smoother goes back over, and the filter at its end.
+        """Return a solution, the nodes for the backward pass of a smoother, and the filter at the end.
 
         The nodes come in segments, in their order; a record that is not long is one. There are none where
         the heading was unknown and stayed so.
@@ -149,7 +149,7 @@ class Fusion:
         *,
         steady: bool = False,
     ) -> InPieces:
-        """Return what :meth:`in_pieces` does, for a record without long gaps of the IMU.
+        """Return the filter of :meth:`in_pieces` for a record without long IMU gaps.
 
         ``gyro_sd`` [rad/s] is how well a filter before has learnt the error of the gyros as a whole.
         """
@@ -161,7 +161,7 @@ class Fusion:
     def _from_large_bias(
         self, first: SensorData, initial: InitialState, events: list[EventRow], gyro_sd: float | None = None
     ) -> InPieces:
-        """Return the same of a unit with a large turn-on bias."""
+        """Return the filter for an IMU with a large turn-on bias."""
         begin = partial(self._from_start, steady=True)
         if gyro_sd is None and turn_on.may_be_learnt(first, initial):
             return FromTurnOn(begin, first, initial, events)
@@ -172,7 +172,7 @@ class Fusion:
         return used_blocks(self.blocks(), sensors, [sensor.record for sensor in self.aiding()])
 
     def identity(self, sensors: SensorData) -> tuple[object, ...]:
-        """Return what a solution follows from: filters of equal identity are the same on this record.
+        """Return the identity of a filter: filters of equal identity give the same solution on this record.
 
         Options that only choose states count by the states that the datasheets give a size.
         """
@@ -206,7 +206,7 @@ class Fusion:
         )
 
     def samplers(self, start: float, imu: ImuSpec) -> dict[int, ImuSampler]:
-        """Return what makes measurements from the samples of the IMU, by their kind."""
+        """Return the samplers that make measurements from IMU samples, by kind."""
         options, found = self.options, dict[int, ImuSampler]()
         if options.standstill:
             found[measurement_rows.STANDSTILL_ROWS] = StandstillDetector(start, imu)
@@ -215,12 +215,12 @@ class Fusion:
         return found
 
     def aiding(self) -> list[AidingSensor]:
-        """Return the aiding sensors that the options ask for."""
+        """Return the aiding sensors that the options select."""
         other = FIXES if self.options.tight else SATELLITES
         return [sensor for sensor in AIDING if sensor is not other and getattr(self.options, sensor.option)]
 
     def blocks(self) -> list[Block]:
-        """Return the states beyond position, velocity, attitude and biases, as the options ask for them.
+        """Return the states beyond position, velocity, attitude and biases that the options select.
 
         A block whose record is not there is left out of a run.
         """
@@ -228,7 +228,7 @@ class Fusion:
 
     @property
     def needs(self) -> tuple[str, ...]:
-        """The records it cannot work without; a barometer beside GNSS is used if there is one."""
+        """The required records; with GNSS, a barometer is optional."""
         return records_needed(self.aiding())
 
     def unmodeled_errors(self, specs: AssumedSpecs) -> tuple[str, ...]:
@@ -243,7 +243,7 @@ class Fusion:
 
 
 class Passage(SessionState):
-    """A filter on its way through a record that comes in pieces, from a complete start.
+    """A filter for a record in pieces, from a complete initial state.
 
     ``first``, ``initial`` and ``events`` are those of `piecewise.RunsInPieces.in_pieces`, ``gyros`` is what
     else is known of them. With ``keep`` it stores the nodes of a smoother in ``stretches``.
@@ -298,7 +298,7 @@ class Passage(SessionState):
 
     @property
     def end(self) -> float:
-        """Instant of the last IMU sample taken, or of the start [s]."""
+        """Time of the last processed IMU sample, or of the start [s]."""
         return self.schedule.end
 
     def update(self, piece: SensorData, look_back: float, *, last: bool) -> NavSolution:
@@ -314,7 +314,7 @@ class Passage(SessionState):
         return solution
 
     def current(self, head: SensorData) -> NavSolution:
-        """Return state and covariance at the end, were that the end of the record; no answer ends a step."""
+        """Return the solution at the end as if the record ended there; an output does not end a step."""
         self.schedule.output_t = np.empty(0)
         return answer_now(self, head)
 

@@ -47,7 +47,7 @@ _ROUNDING = 1e-14  # of a scaled variance: what is left of it is rounding
 
 
 class Smoother:
-    """A loose or tight filter, then back over its record.
+    """Loose or tight filter with a backward pass over its record.
 
     Innovations and events are those of the forward run.
 
@@ -109,7 +109,7 @@ class Smoother:
 
 
 def _answer(t: FloatArray, nodes: Nodes, antenna_b: FloatArray) -> NavSolution:
-    """Return smoothed nodes as answers at the epochs t (M,) that they serve."""
+    """Return smoothed nodes as the solution at their epochs t (M,)."""
     rows = np.flatnonzero(nodes.output >= 0)
     at = nodes.output[rows]
     shown = first_of_satellites(index_of(nodes.layout), nodes.layout.size)
@@ -175,7 +175,7 @@ def _turn_heading(heading: float, turn: FloatArray) -> None:
 
 @kernel
 def _smooth_kernel(state: FloatArray, P: FloatArray, Phi: FloatArray, work: SmootherWork) -> None:
-    """Smooth states (N, 2, n + 1) and P (N, 2, n, n) after the measurements, all but the last, going back."""
+    """Smooth states (N, 2, n + 1) and P (N, 2, n, n) after the measurements, backward from row N - 2."""
     n, d, e, D = work.d.shape[0], work.d, work.e, work.D
     for j in range(state.shape[0] - 2, -1, -1):
         later, before = P[j + 1, 1], P[j + 1, 0]

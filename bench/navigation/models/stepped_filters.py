@@ -1,4 +1,4 @@
-"""Filters in Python, a step at a time, on their way through a record that comes in pieces.
+"""Filters in Python that advance step by step through a record in pieces.
 
 They compare a measurement with the state at its arrival, however late: all answers are final up to the last
 sample, and nothing waits for what may come.
@@ -47,11 +47,11 @@ class SteppedFilter(SessionState, ABC):
 
     @abstractmethod
     def begin(self, dt: float, dtheta: Any) -> None:
-        """Take the rate of the first step, which is not taken yet, for what is measured at the start."""
+        """Store the rate of the first step before it is processed, for measurements at the start."""
 
     @abstractmethod
     def step(self, now: float, dt: float, dtheta: Any, dvel: Any, unknown: FloatArray, due: bool) -> None:
-        """Go a step on.
+        """Advance by a step.
 
         ``unknown`` (2,) is the variance of velocity and attitude that a gap adds. After a step that is
         ``due`` something is measured or answered.
@@ -59,21 +59,21 @@ class SteppedFilter(SessionState, ABC):
 
     @abstractmethod
     def measure(self, now: float, arrived: list[Measurement]) -> None:
-        """Use what has arrived."""
+        """Use the measurements that arrived."""
 
     @abstractmethod
     def answer(self, now: float) -> tuple[FloatArray, ...]:
-        """Return arrays of the :attr:`shapes`; they are kept."""
+        """Return the output as arrays of the :attr:`shapes`, which are stored."""
 
     @abstractmethod
     def solution(
         self, t: FloatArray, answers: Sequence[FloatArray], events: list[EventRow], *, last: bool
     ) -> NavSolution:
-        """Return answers (M, ...) at epochs t (M,) [s], with the innovations since this was called last."""
+        """Return a solution of outputs (M, ...) at t (M,) [s], with the innovations since the last call."""
 
 
 class SteppedPassage(SessionState):
-    """A filter on its way through a record that comes in pieces (`piecewise.InPieces`).
+    """A filter for a record in pieces (`piecewise.InPieces`).
 
     The schedule begins where the filter is; it does not compensate latency. ``aiding`` are the sensors in
     use, read for a ``layout`` of the filter.
@@ -100,11 +100,11 @@ class SteppedPassage(SessionState):
 
     @property
     def end(self) -> float:
-        """Instant of the last IMU sample taken, or of the start [s]."""
+        """Time of the last processed IMU sample, or of the start [s]."""
         return self.schedule.end
 
     def update(self, piece: SensorData, look_back: float, *, last: bool) -> NavSolution:
-        """Take the next piece; return the answers to all that has come with it."""
+        """Process the next piece; return its part of the solution."""
         if not np.array_equal(self.antenna_b, piece.antenna_b):
             if self.flight.one_antenna:
                 raise EstimatorError("this filter cannot change to another antenna: loose-* and ukf can")
@@ -117,18 +117,18 @@ class SteppedPassage(SessionState):
         return self._go()
 
     def current(self, head: SensorData) -> NavSolution:
-        """Return state and covariance at the end, were that the end of the record."""
+        """Return the solution at the end as if the record ended there."""
         wanted = self.schedule.output_t
         self.schedule.output_t = wanted[wanted < self.end - TIME_TOLERANCE]
         return answer_now(self, head)
 
     def check(self) -> None:
-        """Check that what waits is of the sensors in use."""
+        """Check that stored measurements are of the sensors in use."""
         known = {sensor.kind for sensor in self.aiding}.issuperset(self.schedule.waiting.kind.tolist())
         require(known, "waiting/kind", "must be the sensors of the filter")
 
     def _go(self) -> NavSolution:
-        """Process the samples received so far; return the answers that are final."""
+        """Process the samples received so far; return the final part of the solution."""
         schedule, flight = self.schedule, self.flight
         last, plan = schedule.last, schedule.plan()
         steps, count = plan.steps, plan.go_to + 1

@@ -95,7 +95,7 @@ def _predict_kernel(
     site: Site,
     z: FloatArray,
 ) -> int:
-    """Fill z (S, 6): what each of the truths (S, n + 1) is predicted to show less what was measured.
+    """Fill z (S, 6): predicted minus actual measurement for each of the truths (S, n + 1).
 
     Return the number of rows, 0 if the measurement tells one of them nothing. The rows that the site ends
     with are those of the first truth. No state of this filter goes by the specific force.
@@ -134,7 +134,7 @@ class Unscented:
         return between_gaps(self._from_start, first, initial, events, self.options.accuracy)
 
     def _from_start(self, first: SensorData, initial: InitialState, events: list[EventRow]) -> InPieces:
-        """Return what :meth:`in_pieces` does, for a record without long gaps of the IMU."""
+        """Return the filter of :meth:`in_pieces` for a record without long IMU gaps."""
         if headings.heading_is_unknown(initial):
             return headings.ManyHeadings(self._passage, first, initial, events)
         return self._passage(first, initial, events)
@@ -152,7 +152,7 @@ class Unscented:
 
     @property
     def needs(self) -> tuple[str, ...]:
-        """The records it cannot work without; a barometer beside GNSS is used if there is one."""
+        """The required records; with GNSS, a barometer is optional."""
         return self.loose.needs
 
     def unmodeled_errors(self, specs: AssumedSpecs) -> tuple[str, ...]:
@@ -217,7 +217,7 @@ class SigmaPointFlight(SteppedFilter):
     def step(
         self, now: float, dt: float, dtheta: FloatArray, dvel: FloatArray, unknown: FloatArray, due: bool
     ) -> None:
-        """Go a step on: estimate and covariance are carried over all that were not when it is time."""
+        """Store a step; estimate and covariance are propagated over the stored steps when one is due."""
         self.since.append((dt, dtheta, dvel, unknown))
         if due or now - self.covered >= self.interval:
             spans, turns, gains, lost = (np.array(column) for column in zip(*self.since, strict=True))
@@ -225,7 +225,7 @@ class SigmaPointFlight(SteppedFilter):
             self.covered, self.since, self.w_ib_b = now, [], dtheta / dt
 
     def measure(self, now: float, arrived: list[Measurement]) -> None:
-        """Use what has arrived."""
+        """Use the measurements that arrived."""
         for one in arrived:
             self.use(now, one)
 
@@ -236,7 +236,7 @@ class SigmaPointFlight(SteppedFilter):
     def solution(
         self, t: FloatArray, answers: Sequence[FloatArray], events: list[EventRow], *, last: bool
     ) -> NavSolution:
-        """Return answers at epochs (M,) [s], with the innovations since this was called last."""
+        """Return the solution at epochs (M,) [s], with the innovations since the last call."""
         table, refused = self.gate.take(last=last)
         estimates, P = answers
         return solution(t, self.model.layout, estimates, P, table, Events.from_rows(events + refused))
@@ -262,7 +262,7 @@ class SigmaPointFlight(SteppedFilter):
         return not np.isfinite(self.P).all()
 
     def predict(self, dt: FloatArray, dtheta: FloatArray, dvel: FloatArray, unknown: FloatArray) -> None:
-        """Carry estimate and covariance over some steps; ``unknown`` (2,) is what a gap adds to P."""
+        """Propagate estimate and covariance over some steps; ``unknown`` (2,) is the variance of a gap."""
         if self.lost:
             self.estimate[:] = np.nan
             return
@@ -355,7 +355,7 @@ class SigmaPointFlight(SteppedFilter):
         return mean, S, np.asarray(np.linalg.solve(S, cross.T).T, np.float64)
 
     def _feed_back(self, x: FloatArray) -> None:
-        """Take an expected error off the estimate; P turns with the axes of the unit."""
+        """Subtract an expected error from the estimate; P rotates with the axes of the IMU."""
         turn = np.empty((5, 3))
         drives, factor = np.empty((0, 3), np.int64), np.empty(0)
         axes_kernel(self.estimate, x, drives, factor, turn)

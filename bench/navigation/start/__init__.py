@@ -1,1 +1,1 @@
-"""Steps while the state is not known: alignment, several headings, restart after a gap."""
+"""Start of a filter without a known state: alignment, several headings, restart after a gap."""

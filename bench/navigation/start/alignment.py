@@ -1,4 +1,4 @@
-"""Initial alignment: the part of the initial state that the profile does not give, found from the sensors.
+"""Initial alignment: estimate the missing part of the initial state from the sensors.
 
 ``level``, at rest: roll and pitch from the mean specific force, heading from the mean rate of the gyros
 (gyrocompassing). With db the accelerometer and dw the gyro error, resolved in n,
@@ -75,7 +75,7 @@ class StartSearch(SessionState):
         self.initial, self.tried = initial, -np.inf
 
     def find(self, record: SensorData, look_back: float, *, last: bool) -> tuple[InitialState, Rows] | None:
-        """Return what :func:`complete` finds in the record so far, None while more may change that.
+        """Return the result of :func:`complete` for the record so far; None while more data may change it.
 
         Parameters
         ----------

@@ -136,7 +136,7 @@ def align_on_the_move(sensors: SensorData, initial: InitialState) -> tuple[Initi
 
 
 def find_motion(t: FloatArray, speed: FloatArray, length: float, edges: FloatArray) -> tuple[int, int]:
-    """Return the first and last fix of the first segment of a length [s] that moves throughout.
+    """Return the first and last fix of the first segment of a length [s] with motion throughout.
 
     ``edges`` are where long gaps of the IMU begin and end: no segment reaches over one.
     """
@@ -191,7 +191,7 @@ def _find_path(
     dvel: FloatArray,
     roll: float,
 ) -> tuple[FloatArray, FloatArray] | None:
-    """Return the strapdown along some fixes that gains their velocity and ends along their course, and F.
+    """Return the strapdown along some fixes that matches their velocity change and final course, and F.
 
     Of two fixes the velocities are measured; of four without velocity, next to the IMU ``samples``, it gains
     that by which the mean between the last two exceeds that between the first. Newton's iteration on the

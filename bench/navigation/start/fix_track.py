@@ -1,4 +1,4 @@
-"""A track of position and velocity by GNSS fixes alone, carried between them by how aircraft manoeuvre.
+"""Track of position and velocity from GNSS fixes alone, propagated by a maneuver model.
 
 The model, and the filter as a kernel: `singer`.
 """
@@ -56,7 +56,7 @@ class FixTrack(SessionState):
         self._rows = [(np.empty((4, 0)), np.empty((4, 0), np.int64))]
 
     def expect(self, options: GnssOnlyOptions) -> None:
-        """Continue with other manoeuvres; the variance of the acceleration grows to theirs."""
+        """Continue with another maneuver model; the variance of the acceleration grows to its value."""
         sd = float(options.acceleration)
         self._model = self._model._replace(sd=sd, tau=float(options.correlation_s))
         for k in range(6, 9):
@@ -108,12 +108,12 @@ class FixTrack(SessionState):
 
     @property
     def t(self) -> float:
-        """Instant of the last fix, or of the start [s]."""
+        """Time of the last fix, or of the start [s]."""
         return float(self._now.t[0])
 
     @classmethod
     def blank(cls) -> FixTrack:
-        """Return a track anywhere."""
+        """Return a track with an arbitrary state."""
         return cls(GnssOnlyOptions(), 0.0, np.zeros(3), np.zeros(3), np.zeros((6, 6)))
 
     def make_scratch(self) -> None:
@@ -121,7 +121,7 @@ class FixTrack(SessionState):
         self._work = track_work()
 
     def take_innovations(self) -> Innovations:
-        """Return the innovations of the fixes since this was called last."""
+        """Return the innovations of the fixes since the last call."""
         numbers, marks = (np.concatenate(parts, axis=1) for parts in zip(*self._rows, strict=True))
         self._rows = self._rows[:1]
         return innovations(SENSORS, numbers, marks)

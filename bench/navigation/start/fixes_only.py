@@ -42,7 +42,7 @@ class End(NamedTuple):
 
 
 def lost_at(t: float, end: End) -> End:
-    """Return the end of a filter diverged at a time [s]: no position or velocity, and a wide attitude sd."""
+    """Return the end of a filter that diverged at a time [s], with a large attitude sigma only."""
     none, cov = np.full(3, np.nan), np.full((9, 9), np.nan)
     cov[6:, 6:] = np.diag(np.square([_TILT_SD, _TILT_SD, UNKNOWN_HEADING_SD]))
     return end._replace(t=t, lla=none, vel_n=none, cov=cov)
@@ -89,7 +89,7 @@ class Coast(SessionState):
         return _VIOLENT if self._beyond else GnssOnlyOptions()
 
     def go_beyond(self) -> None:
-        """Say that the motion is beyond the range of the IMU: a roll, a spin, a steep turn."""
+        """Switch to the model for motion beyond the range of the IMU: a roll, a spin, a steep turn."""
         self._beyond = True
         self._arm = unknown_arm(self._antenna_b, _VIOLENT_SWING)
         if self._track is not None:
@@ -119,7 +119,7 @@ class Coast(SessionState):
         return state[:3], state[3:6], cov
 
     def _use(self, count: int) -> None:
-        """Use the first fixes that wait."""
+        """Use the first pending fixes."""
         assert self._fixes is not None
         used, self._fixes = (take_rows(self._fixes, rows) for rows in (slice(count), slice(count, None)))
         r = np.maximum(weigh_fixes(used, self._gnss, self._total, self._accuracy) - self.offset, self._white)
@@ -151,7 +151,7 @@ class Coast(SessionState):
 
 
 def lasts(gnss: GnssSpec, vel_n: FloatArray) -> BoolArray:
-    """Return which correlated errors (6,) of fixes stay while a track of a few seconds averages them."""
+    """Return the correlated errors (6,) of fixes that a track of a few seconds cannot average out."""
     speed = float(np.nan_to_num(np.linalg.norm(vel_n)))
     pos, vel = gnss.pos_decay_time + gnss.pos_decay_distance * speed, gnss.vel_decay_time
     return np.repeat([pos < _BRIEF, vel < _BRIEF], 3)

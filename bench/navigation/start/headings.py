@@ -1,4 +1,4 @@
-"""A start with an unknown heading: several headings, a filter for each, until motion shows which is right.
+"""Start with an unknown heading: one filter for each of several headings, until motion selects one.
 
 A filter that is linear in the heading error is good for about 15 deg. With a larger error the products of
 heading and tilt error that it neglects look like information: at rest it becomes sure of a wrong heading and
@@ -104,7 +104,7 @@ class ManyHeadings(SessionState):
 
     @property
     def end(self) -> float:
-        """Instant of the last IMU sample taken, or of the start [s]."""
+        """Time of the last processed IMU sample, or of the start [s]."""
         return self.members[0].end
 
     def steady_errors(self) -> tuple[FloatArray, FloatArray]:
@@ -199,7 +199,7 @@ class ManyHeadings(SessionState):
             return replace(_combine(parts, weight, leader), innovations=_take_table(table, order))
 
     def current(self, head: SensorData) -> NavSolution:
-        """Return state and covariance at the end, were that the end of the record."""
+        """Return the solution at the end as if the record ended there."""
         self.later = np.empty(0)
         return self.members[0].current(head) if self.complete else answer_now(self, head)
 
@@ -216,7 +216,7 @@ class ManyHeadings(SessionState):
 
 
 def turn_heading(initial: InitialState, turn: float) -> InitialState:
-    """Return an initial state with another heading, known to ``SD``; all else is what it is if that is true.
+    """Return an initial state conditioned on another heading with the sigma ``SD``.
 
     A tilt found by the accelerations over ground depends on the heading: the same force is felt along other
     axes. With m the tilt by a small error of the heading, it is ``m sin(turn) + e_D x m (1 - cos(turn))``
@@ -250,7 +250,7 @@ def _take_table(table: Innovations, rows: slice | IntArray) -> Innovations:
 
 
 def gains(table: Innovations, rest: BoolArray, by_rest: list[str]) -> FloatArray:
-    """Return what each innovation (K,) adds to the logarithm of the weight of its hypothesis.
+    """Return the contribution of each innovation (K,) to the log weight of its hypothesis.
 
     Until a time at which the aircraft may stand, ``rest`` (K,), only the sensors ``by_rest`` count: in
     others noise and the drift of the filter lie along some heading by chance, and the filter would take them
@@ -308,7 +308,7 @@ def inverse_jacobian(d: FloatArray) -> FloatArray:
 
 
 def heading_spread(members: list[NavSolution], weight: FloatArray, best: int) -> tuple[float, float]:
-    """Return at the last epoch how far the hypotheses lie from the best, rms, and its own sd [rad]."""
+    """Return the rms distance of hypotheses from the best at the last epoch, and the best's sigma [rad]."""
     last = [member.q_nb[-1] for member in members]
     apart = [rotation.to_rotvec(rotation.multiply(last[best], rotation.conjugate(q)))[2] for q in last]
     spread = np.nansum(weight[:, -1] * np.square(apart))

@@ -15,7 +15,7 @@ from bench.navigation.start.fixes_only import End
 
 @dataclass(frozen=True, slots=True)
 class LearntBiases:
-    """Biases of the IMU that are taken off its increments, and how well they are known."""
+    """Biases that are subtracted from the IMU increments, with their uncertainty."""
 
     gyro: FloatArray  # (3,) [rad/s], b
     accel: FloatArray  # (3,) [m/s^2], b
@@ -23,7 +23,7 @@ class LearntBiases:
     accel_sd: FloatArray  # (3,) [m/s^2]
 
     def for_alignment(self, piece: SensorData) -> SensorData:
-        """Return a piece less the biases for an alignment, where they are known as a whole."""
+        """Return a piece without the biases for an alignment, if the sum of all bias errors is known."""
         piece = self.taken_off(piece)
         if not np.isfinite(self.gyro_sd).all():
             return piece
@@ -71,7 +71,7 @@ UNLEARNT = LearntBiases(*np.zeros((2, 3)), *np.full((2, 3), np.inf))
 def learn_biases(
     end: End, spec: ImuSpec, biases: LearntBiases, steady: tuple[FloatArray, FloatArray] | None
 ) -> LearntBiases:
-    """Return the biases to take off the increments behind the end of a filter.
+    """Return the biases to subtract from the increments after the end of a filter.
 
     ``steady`` are the errors (6,) of gyros and accelerometers as a whole and their sd, where the filter knows
     them: biases and all that adds to them. Beyond ``biases``, which it did not see.

@@ -167,7 +167,7 @@ def rate_sd(gyro: TriadSpec, g: float, warmth: float) -> float:
 
 
 def bias_sd(triad: TriadSpec, along: float, warmth: float = 0.0) -> float:
-    """Return the standard deviation of what adds to one axis.
+    """Return the standard deviation of all errors that add to one axis.
 
     ``along`` is the force or rate on the others, ``warmth`` the temperature above the reference [K].
     """

@@ -1,4 +1,4 @@
-"""Fixes that a filter rejects for long although they agree with each other: then the filter is wrong.
+"""Fixes that are rejected for long although they agree with each other, so the filter has diverged.
 
 The gate re-admits rejected fixes after a while (`engine.gate`) and opens position and velocity for it.
 Where the attitude is lost that is no help: the filter drifts off again, and rejects the next. What tells a
@@ -29,7 +29,7 @@ _FALSE_ALARM = 1e-5  # chance that a sound fix counts as one that does not agree
 
 
 class RefusedFixes(SessionState):
-    """Tells when a filter has rejected sound fixes for long, from its innovations and the fixes.
+    """Detector of a filter that has rejected sound fixes for long, from its innovations and the fixes.
 
     A window is twice as long as ``readmit_after_s`` of its gate [s], and no shorter than the fixes are
     compared over.
@@ -48,7 +48,7 @@ class RefusedFixes(SessionState):
         self.forget()
 
     def forget(self) -> None:
-        """Begin anew, with another filter."""
+        """Start again, for another filter."""
         self._fixes = None
         self._t, self._stood, self._refused = np.empty(0), np.empty(0), np.empty(0, np.bool_)
         self._begun, self._next = np.inf, -np.inf

@@ -1,4 +1,4 @@
-"""Over a long gap in the IMU record a filter with fixes coasts on them, and then starts again.
+"""Restart after a long gap of the IMU: the filter follows the fixes alone, then starts again.
 
 Over seconds without IMU the tilt may be anything, and the linear error model of a filter breaks: it would
 come back meters off and claim decimeters. So it stops at the last sample before the gap. From there on
@@ -140,7 +140,7 @@ class BetweenGaps(SessionState):
 
     @property
     def end(self) -> float:
-        """Instant of the last IMU sample taken, or of the start [s]."""
+        """Time of the last processed IMU sample, or of the start [s]."""
         return self.intake.newest
 
     def update(self, piece: SensorData, look_back: float, *, last: bool) -> NavSolution:
@@ -173,7 +173,7 @@ class BetweenGaps(SessionState):
         return join_solutions(found)
 
     def _with_held(self, piece: SensorData, look_back: float) -> SensorData:
-        """Return a piece after the samples that were kept back."""
+        """Return a piece with the held-back samples in front."""
         held = self.held
         if not same_array(self.head.antenna_b, piece.antenna_b):
             if self.pause is not None:
@@ -193,7 +193,7 @@ class BetweenGaps(SessionState):
         self, part: SensorData, look_back: float, found: list[NavSolution], *,
         last: bool = False, ended: float | None = None,
     ) -> None:  # fmt: skip
-        """Take a part without a long gap; nothing comes after the ``last``, and a gap after ``ended`` [s]."""
+        """Process a part without a long gap; it may be the ``last``, or a gap begins at ``ended`` [s]."""
         if self.filter is None and self.pause is None:  # it has ended
             found.append(self._unknown(part.output_t))
             return
@@ -224,7 +224,7 @@ class BetweenGaps(SessionState):
         self._drop_copy(solution)
 
     def _end_at(self, part: SensorData, ended: float) -> NavSolution:
-        """Let the filter take a part and end at a time [s]; keep what it has learnt."""
+        """End the filter after a part at a time [s], and store its learned biases."""
         assert self.filter is not None
         wanted = np.union1d(part.output_t, ended)
         solution = self._own(self.filter.update(self._less(replace(part, output_t=wanted)), 0.0, last=True))
@@ -235,7 +235,7 @@ class BetweenGaps(SessionState):
         return solution if len(wanted) == len(part.output_t) else take_answers(solution, slice(-1))
 
     def _keep_copy(self, part: SensorData) -> None:
-        """Keep a copy of the filter if it may diverge in a part, or the part if there is a copy."""
+        """Copy the filter if it may diverge in a part; if a copy exists, store the part."""
         if self.watch is None:
             return
         assert self.filter is not None
@@ -245,7 +245,7 @@ class BetweenGaps(SessionState):
             self.fork, self.since, self.told = self.filter.copy(), part, (-np.inf, -np.inf)
 
     def _drop_copy(self, solution: NavSolution) -> None:
-        """Drop the copy where nothing was rejected of late; else remember what has been given since."""
+        """Drop the copy if nothing was rejected recently; else remember the solution since the copy."""
         if self.since is None:
             return
         assert self.watch is not None
@@ -279,7 +279,7 @@ class BetweenGaps(SessionState):
         self._take(rest, look_back, found, last=last, ended=ended)
 
     def _stop(self, silent: tuple[float, float], found: list[NavSolution]) -> None:
-        """Continue from fixes alone in a gap from one time until another [s], or without end."""
+        """Continue with fixes alone in a gap between two times [s], or without end."""
         if self.accuracy is None:
             if self.stopped is not None:
                 length, because = f"{silent[1] - silent[0]:.6g} s", name_ranges(self.lost)
@@ -313,7 +313,7 @@ class BetweenGaps(SessionState):
     def _align(
         self, part: SensorData, look_back: float, found: list[NavSolution], *, last: bool, ended: float | None
     ) -> SensorData | None:
-        """Begin the filter again; return the record since the gap, None while it cannot."""
+        """Restart the filter; return the record since the gap, or None while it cannot restart."""
         pause = self.pause
         assert pause is not None
         (stopped, begin), no_more = pause.silent, last or ended is not None
@@ -363,22 +363,22 @@ class BetweenGaps(SessionState):
         return replace(pause.record, output_t=pause.wanted)
 
     def _begin_again(self) -> InPieces:
-        """Return the filter from the present start, with what it has learnt of the gyros before."""
+        """Return the filter from the present start, with the gyro errors learned before."""
         sd = float(self.biases.gyro_sd.max())
         if not (self.whole and self.again and np.isfinite(sd)):
             return self._begin(self._less(self.head), self.start, [])
         return self._begin(self._less(self.head), self.start, [], gyro_sd=sd)  # type: ignore[call-arg]
 
     def _less(self, piece: SensorData) -> SensorData:
-        """Return a piece as the filter takes it."""
+        """Return a piece without the learned biases, as input of the filter."""
         return self.biases.taken_off(piece) if self.again else piece
 
     def _own(self, solution: NavSolution) -> NavSolution:
-        """Return a solution of the filter with the biases added that were taken off its increments."""
+        """Return a solution of the filter with the subtracted biases added again."""
         return self.biases.given_back(solution) if self.again else solution
 
     def current(self, head: SensorData) -> NavSolution:
-        """Return state and covariance at the end, were that the end of the record."""
+        """Return the solution at the end as if the record ended there."""
         if self.filter is not None and self.pause is None:
             return self._own(self.filter.current(self._less(head)))
         if self.pause is None:

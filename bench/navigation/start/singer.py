@@ -1,4 +1,4 @@
-"""Singer's model of a manoeuvring aircraft, and the Kalman filter over fixes that follows it, as one kernel.
+"""Singer's maneuver model of an aircraft, and its Kalman filter for fixes, as one kernel.
 
 Along each axis of n the acceleration is a Gauss-Markov process (R. A. Singer, Estimating optimal tracking
 filter performance for manned maneuvering targets, IEEE Trans. AES-6 (4), 1970): constant for a moment, zero
@@ -164,7 +164,7 @@ def singer_kernel(T: float, sd: float, tau: float, work: TrackWork) -> None:
 def _carry_kernel(
     T: float, now: SingerTrack, model: Manoeuvres, x: FloatArray, P: FloatArray, work: TrackWork
 ) -> None:
-    """Fill x (9,) and P (9, 9) with a track carried on for T seconds; they may be its own."""
+    """Fill x (9,) and P (9, 9) with a track propagated over T seconds; they may be the track's own."""
     Phi, Q, block = work.Phi, work.Q, work.block
     singer_kernel(T, model.sd, model.tau, work)
     for i in range(3):

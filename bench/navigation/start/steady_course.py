@@ -1,4 +1,4 @@
-"""A heading by the course, while the course stays: what a gyro with a large bias cannot keep.
+"""Heading from a steady course, for gyros with a large bias.
 
 In straight flight no measurement shows the heading, and where the gyros are known to a tenth of a degree per
 second it is lost within minutes. But what flies or drives straight keeps its nose where it was: between
@@ -89,7 +89,7 @@ class SteadyCourse(SessionState):
         return [Block("every_error", lambda _: states)] if self.steady else []
 
     def take(self, record: SensorData, samples: ImuData) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Take the fixes of the next piece, and its IMU samples in use.
+        """Process the fixes and the IMU samples in use of the next piece.
 
         Returns
         -------
@@ -140,7 +140,7 @@ class SteadyCourse(SessionState):
         return math.isinf(span) or float(np.sum(self.stood <= now)) * WINDOW >= STANDS * (span - WINDOW)
 
     def check(self) -> None:
-        """Check that there is a state for what is measured."""
+        """Check that the filter has a state for the measured angle."""
         require(self.over or self.steady, "over", "must be true of gyros that keep the heading")
 
 

@@ -1,4 +1,4 @@
-"""A large turn-on bias of the gyros, learnt in the first seconds before a linear filter takes it.
+"""A large turn-on bias of the gyros, estimated in the first seconds before the linear filter starts.
 
 In straight flight no measurement shows the heading. A bias of degrees per second turns it by tens of degrees
 until the first turn, and a linear filter is then lost. So the mean rate over a segment in which the course
@@ -63,7 +63,7 @@ Begin = Callable[[SensorData, InitialState, list[EventRow], float | None], InPie
 
 @dataclass(frozen=True, slots=True)
 class TurnOn:
-    """A bias of the gyros, and how well it is known."""
+    """A bias of the gyros with its uncertainty."""
 
     bias_b: FloatArray  # (3,) [rad/s], b
     sd: float  # [rad/s]
@@ -72,7 +72,7 @@ class TurnOn:
 
 
 class FromTurnOn(SessionState):
-    """A filter that gets a large bias of the gyros taken off its increments (`InPieces`).
+    """A filter whose gyro increments have a large bias removed (`InPieces`).
 
     While the segment goes on it takes the record so far once more, from the start, whenever the bias is known
     better: in the first seconds a bias of 10 deg/s is beyond what a linear filter can learn. Where the course
@@ -97,7 +97,7 @@ class FromTurnOn(SessionState):
 
     @property
     def end(self) -> float:
-        """Instant of the last IMU sample taken, or of the start [s]."""
+        """Time of the last processed IMU sample, or of the start [s]."""
         return self.filter.end
 
     def steady_errors(self) -> tuple[FloatArray, FloatArray]:
@@ -153,7 +153,7 @@ class FromTurnOn(SessionState):
         )
 
     def current(self, head: SensorData) -> NavSolution:
-        """Return state and covariance at the end, were that the end of the record."""
+        """Return the solution at the end as if the record ended there."""
         return self._own(self.filter.current(self._less(head)))
 
     def make_parts(self) -> None:
@@ -162,12 +162,12 @@ class FromTurnOn(SessionState):
 
 
 def _until(record: SensorData, t: float) -> SensorData:
-    """Return what has come until a time [s]."""
+    """Return the part of a record until a time [s]."""
     return cut_piece(record, np.flatnonzero(~(record.imu.t > t)), -np.inf, t)
 
 
 def _after(record: SensorData, t: float) -> SensorData:
-    """Return what comes after a time [s]."""
+    """Return the part of a record after a time [s]."""
     return cut_piece(record, np.flatnonzero(record.imu.t > t), t, np.inf)
 
 
@@ -181,7 +181,7 @@ def may_be_learnt(first: SensorData, initial: InitialState) -> bool:
 def smooth_from_turn_on(
     run: Run, sensors: SensorData, initial: InitialState
 ) -> tuple[NavSolution, FloatArray]:
-    """Return what `FromTurnOn` does of a smoother, which knows the segment from its first answer on.
+    """Apply `FromTurnOn` to a smoother, whose solution includes the first segment.
 
     The second is the bias (3,) of the gyros [rad/s] that it did not see.
     """
@@ -277,7 +277,7 @@ def find_turning(sensors: SensorData, initial: InitialState, until: float, near:
 
 
 def warming_sd(span: float, height: FloatArray, spec: ImuSpec, initial: InitialState) -> float:
-    """Return a bound of the sd by which warming changes a bias over a span [s] at heights [m]."""
+    """Return a bound of the bias change due to warming over a span [s] at heights [m], 1 sigma."""
     begun, ground, lapse, time_constant = thermal_figures(initial.t, float(initial.lla[2]), spec)
     change = float(np.nanmax(np.abs(ground + lapse * height - begun), initial=0.0))
     if time_constant > 0.0:

@@ -1,4 +1,4 @@
-"""A bias of the gyros by a start in a turn, where no segment is straight.
+"""Gyro bias from a start in a turn, if no segment is straight.
 
 The attitude at a time is taken for that of coordinated flight: the heading has turned with the course,
 the bank is that of the turn, the pitch is that of the start. The bias is what leads there.

@@ -1,4 +1,4 @@
-"""Filters that take a record only as a whole, started again after each long gap in its IMU."""
+"""Filters that process only whole records, restarted after each long IMU gap."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def run_between_gaps(
     accuracy: FixAccuracy | None,
     steady_errors: Errors | None = None,
 ) -> NavSolution:
-    """Return the solution of a filter of whole records, started again after each long gap of the IMU.
+    """Return the solution of a filter for whole records, restarted after each long IMU gap.
 
     Parameters
     ----------

@@ -1,1 +1,1 @@
-"""Ranges in the error-state filter: their rows, the states of their errors, the ionosphere under them."""
+"""Ranges in the error-state filter: rows of H, error states, and the ionosphere."""

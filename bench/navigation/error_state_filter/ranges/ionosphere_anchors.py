@@ -1,4 +1,4 @@
-"""The ionosphere around a receiver as a few states, which satellites share by where their signals pierce it.
+"""The ionosphere around a receiver as a few states; each satellite combines them by its pierce point.
 
 The ionosphere at a pierce point is that of the `ANCHORS`, as far as its correlation with them goes,
 exp(-distance / decay); what is left counts as the satellite's own (FITC: Snelson, Ghahramani, Sparse Gaussian

@@ -1,4 +1,4 @@
-"""The states of tight coupling: the receiver's clock, and what wanders in the ranges of satellites."""
+"""States of tight coupling: the receiver clock, and the time-correlated errors of the ranges."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ is measured over t: ``2 h_-1 (0.577 + ln(pi T / t))``, the integral of ``2 (1 - 
 
 
 def multipath_sd(sky: SkySpec) -> tuple[float, float]:
-    """Return multipath at the zenith, and added at the horizon [m]; 0 if it is white."""
+    """Return the multipath sigma at the zenith and its increase at the horizon [m]; 0 if it is white."""
     if sky.multipath_correlation <= 1.0:
         return 0.0, 0.0
     return sky.multipath_zenith_sd, sky.multipath_horizon_sd
@@ -64,7 +64,7 @@ def _find_vertical(sky: SkySpec) -> float:
 
 
 def list_range_errors(sky: SkySpec, system: int) -> tuple[float, float, float]:
-    """Return sds of what wanders in a range of a system [m]: satellite, ionosphere, multipath."""
+    """Return the sigmas of the time-correlated errors of a range [m]: satellite, ionosphere, multipath."""
     above = float(np.sqrt(_OWN) * _OBLIQUITY * _find_vertical(sky))
     near = multipath_sd(sky)[0] * (_COMBINED if sky.bands == 2 else 1.0)
     return sky.space_sd[system], above, near

@@ -200,7 +200,7 @@ def _with_rows(sky: SkyRows, *columns: Any) -> SkyRows:
 
 
 def place_fillers(kinds: Iterable[int], site: Site, sky: SkyRows) -> IntArray:
-    """Return by kind of record the address of what fills its rows, 0 for others."""
+    """Return, for each kind of record, the address of the function that fills its rows; 0 for others."""
     at = np.zeros(max(ROWS) + 1, np.int64)
     for kind in kinds:
         if kind == SATELLITE_ROWS:
@@ -223,7 +223,7 @@ def range_state_kernel(k: int, sky: SkyRows, index: Index) -> int:
 def renew_kernel(
     epoch: int, now: FilterState, Phi: FloatArray, index: Index, pending: Pending, sky: SkyRows
 ) -> None:
-    """Begin states anew that go to other satellites at an epoch; ``Phi`` (n, n) leads there for a smoother.
+    """Reset states that are given to other satellites at an epoch; ``Phi`` (n, n) is for a smoother.
 
     Rows that wait take the error of the satellite before as white.
     """

@@ -1,4 +1,4 @@
-"""Which satellite has which channels and state, and a filter without the states that none has had."""
+"""Assignment of channels and states to satellites, and a filter without states never assigned."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ class Channels(SessionState):
         return own, fresh
 
     def used(self, index: Index, n: int) -> IntArray:
-        """Return the states out of n that have a use so far: all but those which no satellite has had."""
+        """Return the states in use, out of n: all except those never assigned to a satellite."""
         used = np.ones(n, np.bool_)
         places = index[FIRST_RANGE:FIRST_OFFSET]
         for first, held in zip(places, np.split(self.held, np.cumsum(RANGES)[:-1]), strict=True):
@@ -105,7 +105,7 @@ def _give_kernel(
 def narrow(
     used: IntArray, now: FilterState, pending: Pending, gate: Gate
 ) -> tuple[FilterState, Pending, Gate]:
-    """Return the same of the ``used`` ones of n states, which begin with the first nine."""
+    """Return filter, measurements and gate with only the ``used`` states, which include the first nine."""
     state = np.concatenate([now.state[:10], now.state[used[9:] + 1]])
     P = widened(now.P[np.ix_(used, used)])
     return (

@@ -1,4 +1,4 @@
-"""In-flight calibration: errors of an INS as a curve through the time they were known, drawn on in an outage.
+"""In-flight calibration: INS errors before an outage as a curve, extrapolated through the outage.
 
 While GNSS is there the filter's estimates of the errors are kept; without it a line, a parabola or the basis
 of the Schuler loop is fitted to those of a window by least squares and extrapolated (A-2.3, #46).

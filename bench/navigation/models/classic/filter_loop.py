@@ -120,19 +120,19 @@ class FilterLoop(SteppedFilter):
         return turned
 
     def begin(self, dt: float, dtheta: list[float]) -> None:
-        """Take the rate of the first step: what is measured at the start sees it."""
+        """Store the rate of the first step, for measurements at the start."""
         self.w_b = np.array(dtheta) / dt
 
     def step(
         self, now: float, dt: float, dtheta: list[float], dvel: list[float], unknown: FloatArray, due: bool
     ) -> None:
-        """Go a step on; the filter follows at its own rate, and where something is ``due``."""
+        """Advance by a step; the filter follows at its own rate, and when something is ``due``."""
         self.advance(dt, dtheta, dvel, unknown)
         if due or self.elapsed >= self.interval:
             self.predict()
 
     def measure(self, now: float, arrived: list[Measurement]) -> None:
-        """Use what has arrived, a fix with a reading of the barometer."""
+        """Use the measurements that arrived: a fix together with a barometer reading."""
         for fix, alt_baro in pair_measurements(arrived):
             self.update(now, fix, alt_baro)
 
@@ -195,7 +195,7 @@ class FilterLoop(SteppedFilter):
     # -- the measurements
 
     def update(self, now: float, fix: Fix | None, alt_baro: float | None) -> None:
-        """Use what has arrived: the rows of Y, their tests, the update and the correction."""
+        """Update with the measurements that arrived: rows of Y, tests, update and correction."""
         earth = ellipsoid(self.nav.lat, self.nav.h)
         east, north = reduced(self.nav, earth)
         jump = fix is not None and self.satellites not in (None, fix.satellites)
@@ -252,7 +252,7 @@ class FilterLoop(SteppedFilter):
         self._correct(now)
 
     def _measurements(self, earth: Earth, fix: Fix | None, alt_baro: float | None) -> FloatArray:
-        """Return Y (8,), INS less measured (A-5.4.3), NaN in the rows of what has not arrived."""
+        """Return Y (8,), INS minus measurement (A-5.4.3), NaN in the rows without a measurement."""
         Y = np.full(8, np.nan)
         nav = self.nav
         if alt_baro is not None:
@@ -345,7 +345,7 @@ class FilterLoop(SteppedFilter):
         self.next_correction = now + period
 
     def _remember(self, now: float) -> None:
-        """Keep the errors of the navigator for the curve that goes on without fixes (#46)."""
+        """Store the errors of the navigator for the curve that is extrapolated without fixes (#46)."""
         if self.options.outage != "prediction":
             self.known.append((now, self.form.x[:9].astype(float)))
             while self.known[0][0] < now - self.options.outage_window:
@@ -381,7 +381,7 @@ class FilterLoop(SteppedFilter):
     def solution(
         self, t: FloatArray, answers: Sequence[FloatArray], events: list[EventRow], *, last: bool
     ) -> NavSolution:
-        """Return answers at epochs (M,) [s], with innovations and events since this was called last."""
+        """Return the solution at epochs (M,) [s], with innovations and events since the last call."""
         state, variance, cov = answers
         table, refused = self.gate.take(last=last)
         events, self.events = events + self.events + refused, []

@@ -154,7 +154,7 @@ def turn_matrix(x: float, y: float, z: float) -> FloatArray:
 
 
 def reduced(nav: Nav, earth: Earth) -> tuple[float, float]:
-    """Return how many reduced meters a meter east and a meter north are (equations 1.5).
+    """Return the number of reduced meters in a meter east and in a meter north (equations 1.5).
 
     On the sphere at sea level these are the source's 1/cos(lat) and 1.
     """
@@ -178,7 +178,7 @@ def corrected(nav: Nav, x: FloatArray) -> Nav:
 
 
 def axes_turned(nav: Nav, x: FloatArray) -> FloatArray:
-    """Return how P (22, 22) turns with the axes of the unit where :func:`corrected` subtracts x (22,).
+    """Return the rotation of P (22, 22) with the IMU axes when :func:`corrected` subtracts x (22,).
 
     As in `bench.navigation.error_state_filter.corrections.axes_kernel`.
     """

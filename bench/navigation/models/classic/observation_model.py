@@ -28,7 +28,7 @@ class Fix(NamedTuple):
 
 
 def pair_measurements(arrived: Sequence[Measurement]) -> list[tuple[Fix | None, float | None]]:
-    """Return fixes, the last with the first height by the barometer that has come with them, then the rest.
+    """Return fixes, the last paired with the first barometer height that arrived, then the other heights.
 
     The values of a fix are latitude, longitude, height, velocity (n) and the number of satellites.
     """
@@ -66,7 +66,7 @@ def measurement_noise(sig: Sigmas, east: float, north: float, jump: bool) -> Flo
 
 
 def antenna_matrix(H: FloatArray, nav: Nav, earth: Earth, antenna: FloatArray, w_b: FloatArray) -> None:
-    """Write what a lever arm adds to H (8, 22): the source has none (equations 10).
+    """Add the effect of a lever arm to H (8, 22); the source has no lever arm (equations 10).
 
     The computed antenna is at r + B l and moves with V + B (w x l), w the rate of the body against the
     Earth; with ``B_computed = B - [alpha x] B`` the errors of these terms are [B l x] alpha, [B (w x l) x]

@@ -44,7 +44,7 @@ class Sigmas:
 
 
 def sigmas(specs: AssumedSpecs) -> Sigmas:
-    """Return the filter's figures of the assumed datasheets; a sensor without one gets zeros.
+    """Return the filter parameters from the assumed datasheets; zeros for a sensor without datasheet.
 
     Sensor errors are random walks (A-5.1.8): a bias instability of standard deviation s and correlation tau
     starts with the turn-on bias and s together and walks with s sqrt(2 / tau).
@@ -130,7 +130,7 @@ def model_van_loan(
 
 
 def turn_motion(F: FloatArray, nav: Nav, a: ArrayLike, earth: Earth, variance: float) -> FloatArray:
-    """Return F where an attitude error turns the force of the motion, and not noise of a variance an axis.
+    """Return F in which an attitude error rotates the force due to motion, but not noise of a variance.
 
     A-5.1.10 turns the measured force, noise included (`dynamics_matrix`). As in
     `bench.navigation.error_state_filter.rough_heading.steady_kernel`.

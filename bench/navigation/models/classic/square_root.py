@@ -1,4 +1,4 @@
-"""The covariance as a square root or as U D U': measurements a scalar at a time, and the step in between.
+"""The covariance as a square root or as U D U': scalar measurement updates, and the step between them.
 
 With P = S S', a = S' h, and z = h' x + v of variance r,
 
