@@ -1,4 +1,4 @@
-"""From a flight plan to truth: the only place that knows JSBSim, its names and its feet."""
+"""Flight plans to truth: the only package that uses JSBSim, with its property names and units."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def fly_pieces(
     seconds: float | None = None,
     belief: Belief | None = None,
 ) -> Iterator[Trajectory]:
-    """Fly as :func:`fly` does, and yield the truth in pieces of so many seconds; None: `recorder.PIECE`.
+    """Fly as :func:`fly` does, and yield the truth in pieces of a length [s]; None: `recorder.PIECE`.
 
     With a ``belief`` guidance and legs of a plan go by that, which whoever takes the pieces changes.
     """

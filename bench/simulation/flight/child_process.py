@@ -1,4 +1,4 @@
-"""Fly what others wrote in a process of its own, which can be ended.
+"""Fly foreign scripts and models in a separate process that bench can end.
 
 JSBSim runs foreign models as native code: a trim may never return, a bad table may end the process, and both
 print as they like. The child has no standard output and a scratch folder as its working directory. It says
@@ -94,7 +94,7 @@ def fly_in_child(
 
 
 def answer(fly: Callable[..., Iterator[Trajectory]]) -> None:
-    """Fly in this child: the spec comes by stdin, what it does goes to stdout, truth to a file."""
+    """Fly in this child process: read the spec from stdin, write progress to stdout, the truth to a file."""
     spec, seconds, answer_file = pickle.loads(sys.stdin.buffer.read())
     tempfile.tempdir = str(Path.cwd())  # the parent deletes what a model leaves that ends this process
     speak = os.fdopen(os.dup(1), "w", buffering=1)
@@ -131,7 +131,7 @@ def answer(fly: Callable[..., Iterator[Trajectory]]) -> None:
 def _listen(
     child: subprocess.Popen[bytes], said: IO[bytes], progress: Callable[[float], None] | None, patience: float
 ) -> str | None:
-    """Pass on the progress of a child; None when it has closed its end, what it did when it hung.
+    """Pass on the progress of a child; return None when it ended, or its last activity if it hangs.
 
     A look at a silent child counts as the CPU time it has used since the last one; if that is none, as the
     time between them.

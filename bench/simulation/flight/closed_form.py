@@ -22,7 +22,7 @@ _DEG = np.pi / 180
 
 @dataclass(frozen=True, slots=True)
 class SwingingFlight:
-    """A flight without aerodynamics: what an IMU goes through."""
+    """A flight without aerodynamics, given by the motion of the IMU."""
 
     lat: float = 50.0 * _DEG  # [rad]
     lon: float = 30.0 * _DEG  # [rad]

@@ -104,17 +104,17 @@ class Cockpit:
         return self._nav_alt_ft() * FT
 
     def true_alt(self) -> float:
-        """Ellipsoidal height in truth [m]."""
+        """True ellipsoidal height [m]."""
         return self._alt_ft() * FT
 
     def alt_agl(self) -> float:
-        """Height above ground [m]: by a radar altimeter, if one is on board, when an estimate flies."""
+        """Height above ground [m]; by the radar altimeter, if any, when an estimate guides the flight."""
         if self.belief is None:
             return self.true_alt_agl()
         return self.belief.height(self.true_alt_agl(), self.alt() - self.true_alt())
 
     def true_alt_agl(self) -> float:
-        """Height above ground in truth [m]."""
+        """True height above ground [m]."""
         return self._agl_ft() * FT
 
     def ground_at(self, lat: ArrayLike, lon: ArrayLike) -> FloatArray:
@@ -135,7 +135,7 @@ class Cockpit:
         return ground
 
     def move_ground(self) -> None:
-        """Bring the ground of the model to the height that it has here."""
+        """Set the ground of the model to the height of the terrain at the present position."""
         if self.terrain is not None:
             self._set_ground_ft(float(self.ground_at(*(read() for read in self._lat_lon))) / FT)
 
@@ -175,7 +175,7 @@ class Cockpit:
         self.lon_mode(3)
 
     def _read_lags(self) -> None:
-        """Find out what the loops lag behind a moving set-point [s]."""
+        """Measure the lag of the control loops behind a moving set-point [s]."""
         self.bank_lag = 2 / self.gain("bank-lag-rad_sec")
         self.pitch_lag = 1 / self.gain("pitch-lag-rad_sec")
         self.climb_lag = self.pitch_lag + 1 / self.gain("climb-gain")
@@ -197,7 +197,7 @@ class Cockpit:
             write(share)
 
     def on_ground(self, standing: bool) -> None:
-        """Integrate the rates as wheels on the ground need it, or as flight does."""
+        """Choose the integration of the rates for wheels on the ground, or for flight."""
         for name, write in self._integrators.items():
             write((ON_WHEELS if standing else INTEGRATORS)[name])
 
@@ -209,14 +209,14 @@ class Cockpit:
         self.thr_mode(1)
 
     def change_speed(self, speed: float) -> None:
-        """Begin to move the airspeed set-point to another airspeed [m/s]; :meth:`tick` goes on with it."""
+        """Begin to move the airspeed set-point to another value [m/s]; :meth:`tick` continues the change."""
         change = abs(speed - self.speed_wanted)
         if change > 0:
             n = max(1, math.ceil(1.5 * change / _SPEED_CHANGE * GUIDANCE_RATE))
             self._plan = (self.speed_wanted, speed, 0, n)
 
     def tick(self) -> None:
-        """Go on with what moves by itself; once per time."""
+        """Continue the changes in progress; call once per epoch."""
         if self._plan is not None:
             begun, end, k, n = self._plan
             self.speed_wanted = begun + smoothstep((k + 1) / n) * (end - begun)
@@ -224,7 +224,7 @@ class Cockpit:
             self._plan = (begun, end, k + 1, n) if k + 1 < n else None
 
     def fastest(self) -> float:
-        """Highest airspeed wanted from here on [m/s]."""
+        """Highest commanded airspeed of the rest of the flight [m/s]."""
         return self.speed_wanted if self._plan is None else max(self.speed_wanted, self._plan[1])
 
     def speed_settled(self) -> bool:
@@ -232,7 +232,7 @@ class Cockpit:
         return self._plan is None
 
     def wait_until(self, reached: Callable[[], bool], patience: float, what: str) -> Steps:
-        """Fly on until a state is reached; raise FlightError when it is not within a time [s]."""
+        """Continue the flight until a state is reached; raise FlightError after a time limit [s]."""
         for _ in ticks(patience):
             if reached():
                 return
@@ -240,13 +240,13 @@ class Cockpit:
         raise FlightError(f"{what} within {patience:g} s: {self.state()}")
 
     def plane_here(self) -> Plane:
-        """Return the plane that is level at the present position."""
+        """Return the tangent plane at the present position."""
         lat, lon = (self.reader(f"position/{name}-rad")() for name in ("lat-geod", "long-gc"))
         return Plane(self, lat, lon, self.alt())
 
 
 class Plane:
-    """North and east of an origin, in the plane tangent to the Earth there: no meridian bends in it."""
+    """Coordinates north and east of an origin, in the plane tangent to the Earth at the origin."""
 
     def __init__(self, cockpit: Cockpit, lat: float, lon: float, alt: float) -> None:
         C_en, origin = matrix_en(lat, lon), to_ecef([lat, lon, alt])
@@ -264,26 +264,26 @@ class Plane:
         return n[0] * x + n[1] * y + n[2] * z, e[0] * x + e[1] * y + e[2] * z
 
     def position(self) -> tuple[float, float]:
-        """Return where the aircraft is: north, east [m]."""
+        """Return the position of the aircraft: north, east [m]."""
         x, y, z = (read() * FT - o for read, o in zip(self._pos, self._origin, strict=True))
         return self._project(x, y, z)
 
     def true_position(self) -> tuple[float, float]:
-        """Return where it is in truth: north, east [m]."""
+        """Return the true position: north, east [m]."""
         x, y, z = (read() * FT - o for read, o in zip(self._true_pos, self._origin, strict=True))
         return self._project(x, y, z)
 
     def velocity(self) -> tuple[float, float]:
-        """Return its velocity over ground: north, east [m/s]."""
+        """Return the velocity over ground: north, east [m/s]."""
         x, y, z = (read() * FT for read in self._vel)
         return self._project(x, y, z)
 
     def true_speed(self) -> float:
-        """Return its speed over ground in truth [m/s]."""
+        """Return the true speed over ground [m/s]."""
         return math.hypot(*self._project(*(read() * FT for read in self._true_vel)))
 
     def track(self) -> tuple[float, float]:
-        """Return its course [rad] and speed [m/s] over ground."""
+        """Return course [rad] and speed [m/s] over ground."""
         north, east = self.velocity()
         return math.atan2(east, north), math.hypot(north, east)
 

@@ -1,4 +1,4 @@
-"""JSBSim with an aircraft or a script in it, loaded from a safe copy that is deleted again.
+"""JSBSim with an aircraft or a script, loaded from a safe temporary copy.
 
 Aircraft of the bench have the guidance system in their model. To a copy of any other the loader adds it:
 its engines take fcs/throttle-cmd-norm, one for each, which is one more output of guidance, and its start
@@ -106,7 +106,7 @@ def load_script(spec: ScriptSpec, dt: float) -> Any:
 def _start(
     scratch: Path, engines: Path, systems: Path, dt: float, what: str, start: Callable[[Any], bool]
 ) -> Any:
-    """Return an executive that takes aircraft from scratch, when ``start`` could load it."""
+    """Return an executive that reads aircraft from the scratch folder, after ``start`` has loaded one."""
     import jsbsim
 
     log = silent_log()

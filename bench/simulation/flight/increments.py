@@ -1,4 +1,4 @@
-"""Exact increments of a recorded motion, by position, velocity and attitude alone.
+"""Exact increments of a recorded motion, computed only from position, velocity and attitude.
 
 All in the inertial frame i, which is frame e at t = 0. A step turns the body by
 th_k = log(q_k^-1 q_{k+1}) and, with bench gravitation g at the middle of the step,
@@ -47,7 +47,7 @@ class Motion:
     q_ib: FloatArray  # (K, 4), sign-continuous
 
     def select(self, rows: slice) -> Motion:
-        """Return some rows of the motion."""
+        """Return selected rows of the motion."""
         columns = (self.epa, self.pos_i, self.vel_i, self.q_nb, self.q_ib)
         return Motion(self.dt, *(column[rows] for column in columns))
 
@@ -62,7 +62,7 @@ def from_states(
 
 
 def at_point(motion: Motion, point_b: tuple[float, float, float]) -> Motion:
-    """Return the motion of a point fixed in the body, at point_b [m] from the point of ``motion``, b.
+    """Return the motion of a body-fixed point, with the offset point_b (body axes) [m] from ``motion``.
 
     The last two rows are missing, because the velocity of a row needs two neighbors on either side. The first
     two have one-sided differences of the same order. A point with zero offset has the rows of ``motion``, bit

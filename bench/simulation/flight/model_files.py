@@ -1,4 +1,4 @@
-"""JSBSim files of others, made safe: copied without what writes files or opens sockets.
+"""Safe copies of foreign JSBSim files, without elements that write files or open sockets.
 
 ``<output>`` writes any file the user can write, ``<input>`` opens ports, ``<notify>``
 prints. Names go unchecked into paths: one that leaves the folder is rejected. So a model or script is read,
@@ -204,7 +204,7 @@ def system_files(model: Path) -> set[str]:
 
 
 def _speaks(element: ElementTree.Element) -> bool:
-    """Return whether an element of a script prints, or sets a property of an output that is left out."""
+    """Return whether an element of a script prints, or sets a property of a removed output."""
     sets = element.get("name", "") if element.tag == "set" else (element.text or "")
     return element.tag == "notify" or (
         element.tag in ("set", "property") and sets.strip().startswith("simulation/output")
@@ -212,7 +212,7 @@ def _speaks(element: ElementTree.Element) -> bool:
 
 
 def strip(root: ElementTree.Element) -> None:
-    """Remove what writes files or opens sockets from a model or a script."""
+    """Remove elements that write files or open sockets from a model or a script."""
     if root.tag in ("fdm_config", "runscript"):
         for parent in [root, *root.findall("run")]:
             for child in [child for child in parent if child.tag in _UNWANTED]:

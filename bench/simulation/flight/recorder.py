@@ -1,4 +1,4 @@
-"""Fly a plan or a script in JSBSim, keep its states, and make truth of them.
+"""Fly a plan or a script in JSBSim, record its states, and compute the truth from the states.
 
 JSBSim steps at the smallest multiple of the truth rate that is at least 400 Hz, a script at least as often as
 it asks for. Air data, controls and the sequencer run at 20 Hz. What was not made for the bench has a sanity
@@ -133,7 +133,7 @@ def record_plan(
 def record_script(
     spec: ScriptSpec, progress: Progress | None = None, seconds: float = PIECE, say: Say = keep_quiet
 ) -> Iterator[Stretch]:
-    """Fly a script to its end and yield the part that truth can be made of in segments.
+    """Fly a script to its end and yield its usable part in segments.
 
     Its states stay in memory until the end, which shows the part; the rest is as for :func:`record_plan`.
     """
@@ -149,7 +149,7 @@ def record_script(
 
 
 def _tell(parts: Iterable[_Part], say: Say, doing: str) -> Iterator[_Part]:
-    """Return what is being done before each part of it."""
+    """Yield parts, and report the activity before each part."""
     say(doing)
     for part in parts:
         say(doing)
@@ -210,7 +210,7 @@ def simulation_step(rate: float, longest: float = 1.0 / _LEAST_RATE) -> tuple[in
 def prepare(
     spec: FlightSpec, dt: float, say: Say = keep_quiet, belief: Belief | None = None
 ) -> tuple[Any, Cockpit]:
-    """Return the model at the start of the plan in its wind, trimmed or standing, and its guidance."""
+    """Return the model and its guidance at the start of the plan, in wind, trimmed or standing."""
     say("loading")
     fdm = load_aircraft(spec.aircraft, dt, rough=spec.severity >= spec.aircraft.rough_from)
     guided = spec.aircraft.guided

@@ -32,7 +32,7 @@ _LEAST = 1.0  # shorter than this nothing can be navigated [s]
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """Limits of an aircraft class; the rates are assumed, about twice the rates such aircraft fly."""
+    """Limits of an aircraft class; the rates are assumed to be twice the usual rates of such aircraft."""
 
     load_low: float  # load factors of the design [g]
     load_high: float
@@ -50,7 +50,7 @@ LIMITS = {
 
 
 def choose_flight(motions: Iterable[Motion], what: str) -> tuple[slice, list[EventRow]]:
-    """Return the steps of the first continuous flight worth the name, and what was left out.
+    """Return the steps of the first sufficiently long continuous flight, and the parts left out.
 
     A trim or a reset inside a script puts the aircraft somewhere else between two steps. Truth
     is one motion: the first segment of at least 10 s between such changes, else the longest.
@@ -96,7 +96,7 @@ def choose_flight(motions: Iterable[Motion], what: str) -> tuple[slice, list[Eve
 
 
 def report_sanity(stretches: Iterable[Stretch], category: str) -> Iterator[Stretch]:
-    """Pass the segments of a flight on; the last gets an event for each kind of excess besides its own.
+    """Pass on the segments of a flight; add an event for each kind of excess to the last segment.
 
     Parameters
     ----------
@@ -127,7 +127,7 @@ class _Report:
         self._most: dict[str, float] = {}
 
     def add(self, stretch: Stretch) -> None:
-        """Take in the next segment, and the step beyond it."""
+        """Process the next segment, and the step after it."""
         motion, limits, dt, before = stretch.motion, self._limits, stretch.motion.dt, stretch.before
         th, be = (column[2 * before :] for column in step_increments(motion))
         t: FloatArray = dt * (stretch.first + before + np.arange(1.0, len(th) + 1))

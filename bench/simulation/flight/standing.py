@@ -1,4 +1,4 @@
-"""Stand on the wheels with brakes set, before anything moves."""
+"""Initial state of an aircraft at rest on its wheels, with brakes set."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _AT_REST = 1e-5  # fastest motion of what is at rest [m/s]
 
 
 def stand(fdm: Any, condition: TrimCondition, *, guided: bool = True, say: Say = keep_quiet) -> None:
-    """Put the aircraft on the ground of a condition's place, heading and wind, at rest, its engines idling.
+    """Put the aircraft on the ground at rest, engines idling, with position, heading and wind of a condition.
 
     Engines of a model that was not made for the bench have a state and are set running.
 

@@ -64,7 +64,7 @@ _JUMP = 1e-4  # the center of gravity jumped when it moved further in one step [
 
 
 class StateLog:
-    """Keeps the states of every step; at 20 Hz air data and controls, of foreign models ground contacts too.
+    """Log of the states at every step, and at 20 Hz of air data, controls and contacts of foreign models.
 
     Parameters
     ----------
@@ -123,11 +123,11 @@ class StateLog:
         self._origin_i = self._moved_i = np.zeros(3)  # position of the IMU: at t = 0, and since then [m]
 
     def keep_state(self) -> None:
-        """Keep the state of this step."""
+        """Store the state of this step."""
         self._extend([read() for read in self._read_state])
 
     def keep_air(self) -> None:
-        """Keep air data, controls and contacts of the last state kept, 20 times a second.
+        """Store air data, controls and contacts of the last stored state, 20 times a second.
 
         Raises
         ------
@@ -142,7 +142,7 @@ class StateLog:
         self._slow.extend(values)
 
     def count_steps(self) -> int:
-        """Return the number of steps after the first state that is still here."""
+        """Return the number of steps after the first stored state."""
         return max(0, len(self._states) // len(self._read_state) - 1)
 
     def motions_of_center(self) -> Iterator[Motion]:
@@ -151,23 +151,23 @@ class StateLog:
             yield self._motion_of_center(self._table(first, first + _PART + 1))
 
     def leave_out(self, first: int, end: int) -> None:
-        """Leave out what is before the tick ``first``, the new t = 0, and from the step ``end`` on."""
+        """Drop all data before the tick ``first``, the new t = 0, and from the step ``end`` on."""
         columns, slow = len(self._read_state), len(self._read_slow)
         del self._states[end * columns :], self._states[: first * self.per_tick * columns]
         del self._slow[((end - 1) // self.per_tick + 1) * slow :], self._slow[: first * slow]
 
     def cut(self, seconds: float, kept: int = 1) -> Iterator[Stretch]:
-        """Hand out segments of so many seconds, as long as so many ticks more are left."""
+        """Yield segments of a length [s], while at least some more ticks are left."""
         ticks = max(1.0, round(seconds * GUIDANCE_RATE, 6))
         while self._left() >= (ticks + kept) * self.per_tick:
             yield self._cut(math.floor(ticks))
 
     def cut_rest(self, events: list[EventRow]) -> Stretch:
-        """Hand out all that is left, with the events of the whole flight."""
+        """Return the rest of the flight, with the events of the whole flight."""
         return replace(self._cut(None), events=events)
 
     def _left(self) -> int:
-        """Return the steps that truth can be made of and that are not yet handed out."""
+        """Return the usable steps that are not yet returned in a segment."""
         return self.count_steps() - self._given - self._before() - NEIGHBORS
 
     def _before(self) -> int:
@@ -193,12 +193,12 @@ class StateLog:
         return np.array(self._states[first * columns : end * columns]).reshape(-1, columns)
 
     def _motion_of_center(self, states: FloatArray) -> Motion:
-        """Return the motion JSBSim reports of states (K, 12) or more columns."""
+        """Return the motion that JSBSim reports, from states (K, 12 or more columns)."""
         pos_i, vel_i = FT * states[:, 0:3], FT * states[:, 3:6]
         return from_states(self.dt, states[:, 11], pos_i, vel_i, states[:, 6:9], states[:, 9:11])
 
     def _motion_of_imu(self, states: FloatArray, before: int) -> Motion:
-        """Return the motion of the IMU of states that begin so many steps before the segment.
+        """Return the motion of the IMU from states that begin some steps before the segment.
 
         From one step before the segment to all but the last two rows, whose velocity would need two more.
         """

@@ -40,7 +40,7 @@ class Summary:
         self._table: list[tuple[float, float, str]] = []
 
     def add(self, piece: Trajectory) -> None:
-        """Take in the next piece, which begins with the time at which the last one ended."""
+        """Add the next piece, which begins at the time at which the last piece ended."""
         over_ground = np.hypot(*difference_n(piece.lla[1:], piece.lla[:-1])[:, :2].T)
         self._distance += float(over_ground.sum())
         self._samples += len(over_ground) + (not self._samples)

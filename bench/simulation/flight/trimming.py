@@ -1,4 +1,4 @@
-"""Steady flight: place a model in a state, trim it with our own solver, let it settle.
+"""Steady flight: place a model in a state, trim it with a solver of bench, and let it settle.
 
 JSBSim's own trim can hang and needs an engine; ours solves the six equations of steady flight.
 """
@@ -45,12 +45,12 @@ Say = Callable[[str], None]
 
 
 def keep_quiet(doing: str) -> None:
-    """Tell nobody what is being done."""
+    """Report no progress."""
 
 
 @dataclass(frozen=True, slots=True)
 class TrimCondition:
-    """A steady flight: where, and how it moves through the air."""
+    """A steady flight: position, and motion through the air."""
 
     lat: float  # [rad]
     lon: float  # [rad]
@@ -63,7 +63,7 @@ class TrimCondition:
 
 @dataclass(frozen=True, slots=True)
 class Trim:
-    """Attitude and commands that hold a condition."""
+    """Attitude and control commands of a steady flight."""
 
     alpha: float  # [rad]
     beta: float  # [rad]
@@ -146,7 +146,7 @@ def _fit_within_travel(f: Callable[[FloatArray], FloatArray], start: FloatArray)
     low, high = _LOW / _SCALE, _HIGH / _SCALE
 
     def differences(x: FloatArray) -> FloatArray:
-        """Away from the nearer end of the travel, by what actuators and engines resolve."""
+        """Return finite-difference steps that actuators resolve, away from the nearer end of the travel."""
         away = np.where(x + _DIFFERENCE < high, _DIFFERENCE, -_DIFFERENCE)
         here = f(x)
         return np.column_stack([(f(x + step) - here) / away[k] for k, step in enumerate(np.diag(away))])
@@ -162,14 +162,14 @@ FOREIGN = (_FOREIGN_STARTS, 1e-3, _fit_within_travel)  # 0.1 mg
 
 
 def move_surfaces(fdm: Any, aileron: float, elevator: float) -> None:
-    """Let the surfaces come to their commands, always from the same side: actuators may have play."""
+    """Move the surfaces to their commands, always from the same side, because actuators may have play."""
     for commands in ((-1.0, -1.0), (aileron, elevator)):
         fdm["fcs/aileron-cmd-norm"], fdm["fcs/elevator-cmd-norm"] = commands
         wait(fdm, _ACTUATORS)
 
 
 def start_engines(fdm: Any) -> None:
-    """Let the engines run."""
+    """Start the engines."""
     fdm["propulsion/set-running"] = -1.0
     wait(fdm, 2)
 
@@ -210,7 +210,7 @@ def place(
     pitch: float | None = None,
     rates_b: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> None:
-    """Put the model into a state and evaluate it there; without pitch, the climb angle gives it.
+    """Put the model into a state and evaluate it; without pitch, the climb angle determines the pitch.
 
     rates_b is the rate of b relative to the Earth [rad/s]. The wind comes after run_ic,
     whose own wind input turns it by 90 degrees; a step without integration lets the model
@@ -240,7 +240,7 @@ def place(
 
 
 def settle(fdm: Any) -> None:
-    """Let everything with a memory arrive at the present steady flight, which does not move on.
+    """Let all systems with memory settle in the present steady flight, with the position frozen.
 
     The lags of the systems get ten seconds of steps without integration, the integrators
     a few steps of a nanosecond: their history still holds the flight without wind.

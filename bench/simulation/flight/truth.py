@@ -1,4 +1,4 @@
-"""The one maker of truth: of a motion in segments, with its exact increments, at the truth rate."""
+"""Computation of the truth from a motion in segments: exact increments at the truth rate."""
 
 from __future__ import annotations
 

@@ -78,7 +78,7 @@ class SensedPiece(NamedTuple):
 
 
 def sense_piece(truth: Trajectory, spec: SensorsSpec, draws: SensorDraws) -> SensedPiece:
-    """Simulate all sensors over the next piece of a flight; a flight in one piece has the same bits.
+    """Simulate all sensors over the next piece of a flight; the division does not change the result.
 
     ``truth`` begins with the last epoch of the piece before, and so do its air data. All but the last piece
     end on the 20 Hz of the guidance. ``draws`` keeps what the sensors carry on. Errors as for :func:`sense`.

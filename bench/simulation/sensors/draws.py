@@ -1,4 +1,4 @@
-"""Random numbers of one run, drawn in order of time, and what sensors carry from one piece of a flight on.
+"""Random numbers of one run in order of time, and the state of the sensors between pieces of a flight.
 
 A sensor measures a flight in pieces: the first says where it begins, each further one goes on where the one
 before ended. A flight in one piece and the same in many give the same bits, if pieces end on the 20 Hz of
@@ -49,19 +49,19 @@ class SensorDraws:
         return self._memory[key]  # type: ignore[no-any-return]
 
     def put(self, name: str, value: object) -> None:
-        """Keep another value under a name."""
+        """Store another value under a name."""
         self._memory["", self._prefix + name] = value
 
     def stream(self, name: str) -> np.random.Generator:
-        """Return the random stream of an error, where the pieces before left it."""
+        """Return the random stream of an error, continued from the pieces before."""
         return self.keep(name, lambda: stream(self._seed, self._run, self._prefix + name), "stream")
 
     def constant(self, name: str, *shape: int) -> Any:
-        """Return standard normal numbers that are drawn once; without a shape a single one."""
+        """Return standard normal numbers that are drawn only once; without a shape, a single number."""
         return self.keep(name, lambda: self.stream(name).standard_normal(shape), "constant")
 
     def accumulate(self, name: str, steps: FloatArray) -> FloatArray:
-        """Return the sum (K, ...) of all steps until each of the steps (K, ...) of this piece."""
+        """Return the cumulative sum (K, ...) of steps (K, ...), continued from the pieces before."""
         total = self.keep(name, lambda: np.zeros((1, *steps.shape[1:])), "sum")
         summed: FloatArray = np.cumsum(np.concatenate([total, steps]), axis=0)[1:]
         if len(summed):
@@ -69,7 +69,7 @@ class SensorDraws:
         return summed
 
     def markov(self, name: str, steps: FloatArray, correlation: FloatArray, sd: FloatArray) -> FloatArray:
-        """Go on with a sum (B, 3) of Gauss-Markov stages, as `simulate_gauss_markov` has it.
+        """Continue the sum (B, 3) of Gauss-Markov stages of `simulate_gauss_markov`.
 
         ``steps`` (B,) is the time from the epoch before to each; that of the first epoch of all is not
         used: the stages are stationary from there on.

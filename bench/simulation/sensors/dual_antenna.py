@@ -1,4 +1,4 @@
-"""Heading from two antennas: offset of their line, multipath, white noise, a largest slope."""
+"""Heading from two antennas: angular offset, multipath, white noise, limit of slope."""
 
 from __future__ import annotations
 

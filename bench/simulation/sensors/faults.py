@@ -25,7 +25,7 @@ _Record = TypeVar("_Record", GnssFixes, InstrumentData)
 
 
 class ReportedRows(NamedTuple):
-    """Rows that an instrument puts out after dropped, repeated, frozen and late rows."""
+    """Rows that an instrument outputs, with dropped, repeated, frozen and late rows."""
 
     content: (
         IntArray  # (M,) row that provides the values; below 0 a row of pieces before, as `HeldRows` has it
@@ -39,18 +39,18 @@ class ReportedRows(NamedTuple):
 
 
 class HeldRows:
-    """Rows of pieces before that a frozen output may repeat: the last one, and one for each frozen fault."""
+    """Rows of earlier pieces that a frozen output may repeat: the last row, and one for each frozen fault."""
 
     def __init__(self) -> None:
         self.rows: list[Any] = []  # records of one row: the last, then those of the faults
         self.slots: dict[int, int] = {}  # number of a fault -> place in it
 
     def find(self, number: int) -> int:
-        """Return the row that a fault which began in a piece before repeats, as it counts below 0."""
+        """Return the negative row number that a fault from an earlier piece repeats."""
         return self.slots.get(number, 0) - len(self.rows)
 
     def go_on(self, frozen: dict[int, int], count: int, take: Any) -> None:
-        """Keep what the next piece may need.
+        """Store the rows that the next piece may need.
 
         ``frozen`` is fault -> row that it repeats, of ``count`` rows; ``take`` returns a row as a record.
         """
@@ -209,7 +209,7 @@ def apply_to_instrument(
 def report(
     record: _Record, faults: Faults, sensor: str, draws: SensorDraws, heard: BoolArray | None = None
 ) -> _Record:
-    """Return the rows of a record that are put out, with their times of arrival.
+    """Return the rows of a record that the instrument outputs, with their times of arrival.
 
     ``heard`` (M,) marks the rows whose epochs have no outage; None: there is none.
     """
@@ -225,7 +225,7 @@ def report(
 
 
 def _take_rows(record: Any, content: IntArray, held: HeldRows, frozen: dict[int, int]) -> dict[str, Any]:
-    """Return rows of a record by column, those below 0 from pieces before; keep what the next one needs."""
+    """Return rows of a record by column, negative rows from earlier pieces; store rows for the next piece."""
     columns: dict[str, Any] = {}
     before = len(held.rows) if (content < 0).any() else 0
     for f in fields(record):

@@ -142,7 +142,7 @@ def compute_antenna_motion(
 def rate_at(
     name: str, t: FloatArray, increment: FloatArray, rows: IntArray, draws: SensorDraws
 ) -> FloatArray:
-    """Return the rate (M, k) at some rows of t (N,), from the increments (N - 1, k) up to there alone.
+    """Return the rate (M, k) at some rows of t (N,), from earlier increments (N - 1, k) only.
 
     The straight line through the mean rates of the last two intervals, carried on to the time; its error
     is dt^2 / 3 times the second derivative. Where there is one interval only, its mean.
@@ -153,7 +153,7 @@ def rate_at(
     width = draws.keep(f"{name} step", lambda: np.empty(0))
 
     def mean(at: IntArray) -> tuple[FloatArray, FloatArray]:
-        """Return mean rate and length of intervals; those below 0 are of the piece before."""
+        """Return mean rate and length of intervals; negative intervals are of the piece before."""
         own = np.maximum(at, 0)
         dt = t[own + 1] - t[own]
         found = disk_arrays.take(increment, own)
@@ -181,7 +181,7 @@ def find_lag(
     antenna_b: tuple[float, float, float],
     draws: SensorDraws,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return how far the tracked antenna is behind the true one (M, 3) [m], and its rate [m/s], n.
+    """Return the lag of the tracked antenna position (M, 3) [m], and the rate of the lag [m/s], n.
 
     ``draws`` keeps the state of the loops for the next piece.
 
@@ -230,7 +230,7 @@ def _draw_markov(decayed: FloatArray, sd: FloatArray, draws: SensorDraws) -> Flo
 def _draw_jumps(
     passing: FloatArray, lasting: FloatArray, at: IntArray, decayed: FloatArray, draws: SensorDraws
 ) -> FloatArray:
-    """Draw the jumps (M, 3) of A-5.2.1 and A-5.2.2, mu = 1: a part for one epoch, a part that decays."""
+    """Draw the jumps (M, 3) of A-5.2.1 and A-5.2.2 (mu = 1), one part for a single epoch, one that decays."""
     error = np.zeros((len(decayed), 3))
     if not (passing.any() or lasting.any()):
         return error

@@ -27,7 +27,7 @@ _FAST = 1.0  # a bias stage with a shorter correlation time has a step at every 
 
 
 class ImuBias(NamedTuple):
-    """The applied biases: linear between epochs that include the first and last of the truth."""
+    """The applied biases, linear between epochs that include the first and the last of the truth."""
 
     t: FloatArray  # (B,) [s]
     gyro_b: FloatArray  # (B, 3) [rad/s], b
@@ -213,7 +213,7 @@ def _draw_bias(
 
 
 def _intervals(t: FloatArray, new: bool) -> FloatArray:
-    """Return the step to each epoch t (B,) [s]: 0 before the first, which is left out if not ``new``."""
+    """Return the step to each epoch t (B,) [s]; 0 at the first epoch, which is left out unless ``new``."""
     return t[1:] - t[:-1] if new else np.diff(t, prepend=t[0])
 
 

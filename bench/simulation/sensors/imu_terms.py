@@ -21,7 +21,7 @@ from bench.simulation.signals.air import TOP, standard_atmosphere, to_geopotenti
 
 
 def check_imu(spec: ImuSpec) -> list[str]:
-    """Return one line, in the words of a datasheet, for each figure that is impossible or lacks another."""
+    """Return one line for each datasheet value that is impossible or lacks another value."""
     wrong = []
     for name, triad, limit in (("gyro", spec.gyro, "range_deg_s"), ("accel", spec.accel, "range_g")):
         if triad.nonlinearity_sd > 0 and triad.range <= 0:
@@ -199,7 +199,7 @@ def apply_response(t: FloatArray, increment: FloatArray, spec: TriadSpec, draws:
 
 
 def _largest_deviation(t: FloatArray, interval: float) -> float:
-    """Return how far the samples at most differ from an interval [s]."""
+    """Return the largest difference of the sampling intervals from an interval [s]."""
     parts = (t[rows.start : rows.stop + 1] for rows in disk_arrays.blocks(len(t) - 1))
     return max(float(np.abs(np.diff(part) - interval).max()) for part in parts)
 
@@ -280,7 +280,7 @@ def draw_cross_axis(spec: TriadSpec, draws: SensorDraws) -> FloatArray:
 def draw_motion_errors(
     t: FloatArray, increment: FloatArray, dvel_b: FloatArray, spec: TriadSpec, draws: SensorDraws
 ) -> FloatArray:
-    """Return the errors that depend on the motion in other ways than M: (K, 3), or no rows if all are off.
+    """Return the motion-dependent errors not in M (K, 3); no rows if all are switched off.
 
     ``increment`` (K, 3) [unit] is that of the triad after its response, between the epochs t (K + 1,) [s];
     ``dvel_b`` (K, 3) [m/s] that of the specific force at the IMU.
@@ -305,7 +305,7 @@ def draw_motion_errors(
 def _draw_figures(
     spec: TriadSpec, draws: SensorDraws
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray] | None:
-    """Draw the figures of the errors that depend on the motion; None if all are off."""
+    """Draw the random coefficients of the motion-dependent errors; None if all are switched off."""
     terms: dict[str, tuple[FloatArray, tuple[int, ...]]] = {
         "asymmetry": (spec.by_axis("scale_asymmetry_sd"), (3,)),
         "nonlinearity": (spec.by_axis("nonlinearity_sd"), (3,)),

@@ -11,7 +11,7 @@ from bench.simulation.sensors.draws import SensorDraws
 
 
 def draw_initial_state(truth: Trajectory, spec: SensorsSpec, draws: SensorDraws) -> InitialState:
-    """Draw the state at the first epoch of one run: estimate = truth + error, as in ``InitialState.cov``.
+    """Draw the initial estimate of one run: truth plus an error with the covariance ``InitialState.cov``.
 
     The ``alignment`` of the spec selects the values that are given; the others are NaN of infinite variance.
     """

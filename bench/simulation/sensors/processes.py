@@ -96,7 +96,7 @@ def choose_bias_stages(triad: TriadSpec) -> tuple[FloatArray, FloatArray]:
 
 
 def make_noise_terms(triad: TriadSpec, step: float = 0.0) -> dict[str, allan.Covariance]:
-    """Return the random processes of a triad at rest by name, without those that are off.
+    """Return the random processes of a triad at rest by name, without processes of size 0.
 
     ``step`` is the interval between the epochs of the simulated biases [s]; 0: continuous biases. Constant
     biases have no Allan deviation. The triad is at rest and at constant temperature, so temperature bias,

@@ -39,7 +39,7 @@ class Sampler:
         self.t = truth.t[self.rows]
 
     def draw(self, error: str, sd: float, *shape: int) -> FloatArray:
-        """Draw normal numbers of a standard deviation that stay as they are; 0 if it is 0."""
+        """Draw constant normal numbers of a standard deviation; 0 if it is 0."""
         if sd <= 0:
             return np.zeros(shape)
         constant: FloatArray = sd * np.asarray(self.draws.constant(error, *shape))

@@ -159,7 +159,7 @@ def simulate_mode(t: FloatArray, spec: VibrationSpec, draws: SensorDraws, displa
 def mode_kernel(
     step: FloatArray, added: FloatArray, noise: FloatArray, state: FloatArray, out: FloatArray
 ) -> None:
-    """Fill out (K,) with the displacement; ``state`` (2,) is it and its rate before, then at the end."""
+    """Fill out (K,) with the displacement; ``state`` (2,), displacement and rate, is updated."""
     x, v = state[0], state[1]
     for k in range(len(out)):
         a, b = noise[k, 0], noise[k, 1]

@@ -41,7 +41,7 @@ Mapping = Literal["do-229", "cosecant"]
 
 
 class SurfaceAir(NamedTuple):
-    """The air at sea level; the standard atmosphere takes it to other heights, with the same humidity."""
+    """Air at sea level; the standard atmosphere extends it to other heights with the same humidity."""
 
     pressure: float = 101325.0  # [Pa]
     temperature: float = 288.15  # [K]

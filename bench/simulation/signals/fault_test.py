@@ -1,4 +1,4 @@
-"""Which range of an epoch has a fault, by its normalized residuals."""
+"""Test for faulty ranges of an epoch by normalized residuals."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _REFINED = 8  # steps to a threshold, of Newton; with 5e-3 three have all digits
 
 
 def find_alarms(normalized: FloatArray, share: FloatArray, false_alarm: float) -> tuple[BoolArray, IntArray]:
-    """Return which epochs (M,) have a fault, and the row (M,) that most likely has it.
+    """Return a mask of the epochs (M,) with a fault, and the row (M,) most likely at fault.
 
     A fault of b meters in row i shifts its normalized residual w by ``share`` s times b. If all sizes up to
     some ten meters are equally likely, the odds of a fault in row i against none are

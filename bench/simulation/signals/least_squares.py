@@ -71,7 +71,7 @@ class VelocityFixes(NamedTuple):
 
 
 def find_pierce_points(los_n: FloatArray, el: FloatArray) -> FloatArray:
-    """Return where signals (K,) pierce the ionosphere: north and east (K, 2) of the receiver [m].
+    """Return the ionospheric pierce points of signals (K,): north and east (K, 2) of the receiver [m].
 
     The shell is taken as flat around the receiver: distances are right to 7 % at an elevation of 10 deg.
     """
@@ -151,7 +151,7 @@ def invert(N: FloatArray) -> tuple[FloatArray, BoolArray]:
 
 
 class _Solution(NamedTuple):
-    """Of M epochs with S places each."""
+    """Solution of M epochs with S places each."""
 
     x: FloatArray  # (M, 7) position and clocks
     solved: BoolArray  # (M,)
@@ -229,7 +229,7 @@ def _iterate(
 
 
 def _reweight(normalized: FloatArray, used: BoolArray, final: bool) -> FloatArray:
-    """Return the factor on the variance of each row (M, S): Huber's factor at first, then that of IGG III.
+    """Return the variance factor of each row (M, S): Huber's factor at first, then the factor of IGG III.
 
     The first grows with the residual and moves the solution, bent by faults, towards the one that most ranges
     agree with; the second has no bound. It takes residuals relative to their median, if the median is larger
@@ -380,7 +380,7 @@ def solve_positions(
 def _store(
     fixes: PositionFixes, padded: _Padded, found: _Solution, passed: BoolArray, one_clock: bool
 ) -> None:
-    """Write what was found for some epochs, over what was found for them before."""
+    """Store the results of some epochs, over earlier results."""
     at, good = padded.epochs, found.solved
     fixes.pos_e[at] = np.where(good[:, None], found.x[:, :3], np.nan)
     fixes.clock[at] = np.where(good[:, None] & found.present, found.x[:, 3:], np.nan)

@@ -1,4 +1,4 @@
-"""Directions of satellites, the delays of the atmosphere there, and the errors that these leave in ranges."""
+"""Directions of satellites, atmospheric delays, and the errors of ranges after their correction."""
 
 from __future__ import annotations
 
@@ -118,7 +118,7 @@ def _compute_ionosphere(
 
 
 def share_errors(near: Look, frequency: FloatArray, processing: Processing) -> Shared:
-    """Return what the delays of the atmosphere leave in ranges (K,): nothing with ``without`` them."""
+    """Return the atmospheric errors that the corrections of ``processing`` leave in ranges (K,)."""
     budget, el = processing.budget, np.maximum(near.el, 0.0)
     slant = _obliquity(el) * (L1 / frequency) ** 2
     delay = np.maximum(near.ionosphere / slant, budget.ionosphere_night)
@@ -139,7 +139,7 @@ def estimate_range_sd(
     budget: ErrorBudget,
     free: bool,
 ) -> FloatArray:
-    """Return the sd (K,) [m] of what ranges do not share; NaN below the horizon.
+    """Return the sigma (K,) [m] of the errors that ranges do not have in common; NaN below the horizon.
 
     ``code`` (K,) is the noise of the receiver on the first band [m], ``space`` (K,) that of ephemeris and
     clock. With ``free`` both carriers ``frequency`` (K, 2) are combined (B-11), which multiplies noise and

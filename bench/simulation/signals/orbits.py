@@ -261,7 +261,7 @@ def find_nearest(sets: KeplerSets | GlonassSets, sat: IntArray, t: FloatArray, o
 def find_transmission(
     sets: KeplerSets | GlonassSets, rows: IntArray, t: FloatArray, pseudorange: FloatArray
 ) -> tuple[FloatArray, SatelliteStates]:
-    """Compute the epochs of transmission (K,) [s] and the satellites there, from measurements alone.
+    """Compute the epochs of transmission (K,) [s] and the satellite states there, from measurements alone.
 
     Parameters
     ----------
@@ -277,7 +277,7 @@ def find_transmission(
 
 
 def step_back(shown: FloatArray, found: SatelliteStates) -> tuple[FloatArray, SatelliteStates]:
-    """Return the epochs (K,) [s] when clocks show ``shown`` (K,), and the states then, from those at it."""
+    """Return the epochs (K,) [s] at which clocks show ``shown`` (K,), and the states at these epochs."""
     late = found.clock + found.relativity  # below 1 ms: what curves in it moves the satellite by 1e-6 m
     return shown - late, found._replace(
         pos_e=found.pos_e - found.vel_e * late[:, None], clock=found.clock - found.clock_rate * late

@@ -63,7 +63,7 @@ class ReceiverSolution(NamedTuple):
 
 
 def look_around(o: GnssObservations, pos_e: FloatArray, processing: Processing) -> Look:
-    """Return where the satellites of the observations are, seen from a place (3,), e."""
+    """Return the directions of the observed satellites from a place (3,), e."""
     return compute_look(
         pos_e,
         epoch_start=o.epoch_start,

@@ -1,4 +1,4 @@
-"""Heights of the ground by a file: an SRTM tile (.hgt) or an ESRI ASCII grid (.asc) in degrees; bilinear.
+"""Ground heights from a file, bilinear: an SRTM tile (.hgt) or an ESRI ASCII grid (.asc) in degrees.
 
 An SRTM tile is named after its south-west corner (``N47E011.hgt``): n x n samples of a degree square,
 edges included, big-endian, from north to south. An ESRI ASCII grid has six lines of header, then rows from
@@ -74,7 +74,7 @@ class TerrainGrid:
         return np.where(inside, (1 - y) * south + y * north, np.nan)
 
     def describe(self) -> str:
-        """Return its size and resolution in words."""
+        """Return size and resolution of the grid in words."""
         rows, columns = self.heights.shape
         lat = self.south + 0.5 * (rows - 1) * self.step
         north, east = radii(lat)
@@ -83,7 +83,7 @@ class TerrainGrid:
 
 
 def describe_terrain(path: Path, shown: str, geoid: float, runway: Runway | None) -> TerrainSpec:
-    """Return the spec of a file that could be read.
+    """Read a file and return its spec.
 
     Parameters
     ----------

@@ -1,1 +1,1 @@
-"""The path that is wanted, and how the aircraft is kept on it."""
+"""The desired path, and the guidance that keeps the aircraft on the path."""

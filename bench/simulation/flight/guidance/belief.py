@@ -56,7 +56,7 @@ class NavEstimate:
 
 
 class Belief:
-    """Holds what is estimated during a flight, in SI; begins with the truth.
+    """Estimated quantities during a flight, in SI; initially the truth.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ class Belief:
         self._read: list[tuple[Callable[[], float], float]] = []
 
     def board(self, fdm: Any, imu_b: tuple[float, float, float]) -> None:
-        """Take the aircraft that flies by it."""
+        """Store the aircraft whose guidance uses this estimate."""
         self._imu_b = np.array(imu_b)
         for name, (_, unit) in _NAVIGATION.items():
             write = find_property(fdm, f"guidance/believed-{name}").set_double_value
@@ -89,15 +89,15 @@ class Belief:
     # --- what navigation says
 
     def take(self, estimate: NavEstimate) -> None:
-        """Take an estimate; guidance begins to go over to it when its latency has passed."""
+        """Store an estimate; the guidance begins to blend to it after its latency."""
         self._due.append((estimate.t + self._latency, self._find_values(estimate)))
 
     def take_radar(self, error: float | None) -> None:
-        """Take the error of the height above ground that a radar altimeter measured [m]; None: no echo."""
+        """Store the error of the measured radar height [m]; None: no echo."""
         self._radar = error
 
     def _find_values(self, estimate: NavEstimate) -> FloatArray:
-        """Return what is to be added to ``share`` times the truth."""
+        """Return the offsets to add to ``share`` times the truth."""
         one, true = estimate.solution, estimate.true
         believed = self._locate(one.lla[0], one.vel_n[0], one.q_nb[0])
         if self.mode == "held":
@@ -139,7 +139,7 @@ class Belief:
             self._goal = goal
 
     def step(self, share: float) -> None:
-        """Write what is estimated after a share, 0 to 1, of the interval."""
+        """Write the estimated values after a fraction, 0 to 1, of the interval."""
         if self._goal is self._from:
             return
         if share >= 1.0:
@@ -150,7 +150,7 @@ class Belief:
             write(unit * value)
 
     def believe(self, name: str, read: Callable[[], float], factor: float = 1.0) -> Callable[[], float]:
-        """Return the reader of what is estimated of a property, in its own unit.
+        """Return a function that reads the estimated value of a property, in the unit of the property.
 
         ``name`` is that in guidance, or the property of a place; ``read`` reads the truth.
         """
@@ -163,7 +163,7 @@ class Belief:
         return believed
 
     def height(self, true: float, believed_rise: float) -> float:
-        """Return the height above ground that is estimated [m]: of the radar altimeter, or by the altitude.
+        """Return the estimated height above ground [m], from the radar altimeter or from the altitude.
 
         ``true`` is the true one, ``believed_rise`` what the estimated altitude is above the true one [m].
         """

@@ -1,4 +1,4 @@
-"""Deviation of a flight from the path that its legs wanted: of waypoints, and of a runway.
+"""Deviation of a flight from the desired path of its legs: waypoints, or a runway approach.
 
 The path of a runway is the extended centerline, from the turn onto it on, and the glide path below the height
 at which the approach began. Legs by heading, bank or surface have no path.
@@ -22,14 +22,14 @@ _CAPTURED = 20.0  # below the height it began at, an approach is on its glide pa
 
 
 def measure_steered(spec: object, truth: Trajectory, t: FloatArray) -> OffPath | None:
-    """Return how far a flight was off its path at epochs (M,) [s] of answers; None of a table."""
+    """Return the path deviation of a flight at epochs (M,) [s]; None if the truth is a table."""
     if not isinstance(spec, FlightSpec):
         return None
     return measure_off_path(spec, truth, np.searchsorted(truth.t, t - SAME_INSTANT))
 
 
 def measure_off_path(spec: FlightSpec, truth: Trajectory, rows: IntArray) -> OffPath:
-    """Return how far a flight was off its path at some rows (M,) of the truth, increasing."""
+    """Return the path deviation of a flight at increasing rows (M,) of the truth."""
     right, course = measure_off_track(spec, truth, rows)
     above, t = np.full(len(rows), np.nan), truth.t[rows]
     runway, figures = spec.runway, spec.aircraft.runway

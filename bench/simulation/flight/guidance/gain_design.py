@@ -1,4 +1,4 @@
-"""Gains of guidance for an aircraft that nobody tuned: trim it, linearize it, place the poles of each loop.
+"""Automatic gain design for the guidance of an aircraft: trim, linearize, place the poles of each loop.
 
 The loops of `aircraft/systems/guidance.xml` are cascades, so each is placed by itself: roll rate, bank, pitch
 rate, pitch, climb, airspeed, each a few times slower than the one inside it. What the aircraft can do (roll
@@ -66,7 +66,7 @@ class GainDesign:
 
 
 def prepare_aircraft(aircraft: AircraftSpec) -> AircraftSpec:
-    """Return an aircraft of others with the properties it begins with, 0 for those that it lacks.
+    """Return a foreign aircraft with its initial properties, and 0 for properties that it lacks.
 
     Raises
     ------
@@ -82,7 +82,7 @@ def prepare_aircraft(aircraft: AircraftSpec) -> AircraftSpec:
 
 
 def design_gains(aircraft: AircraftSpec, lift: float, pace: float, hold: float = 1.0) -> GainDesign:
-    """Trim an aircraft of others at a lift coefficient, and place its loops.
+    """Trim a foreign aircraft at a lift coefficient, and compute the gains of its control loops.
 
     Parameters
     ----------
@@ -232,7 +232,7 @@ def place_loops(
 
 
 def acceptance_legs(design: GainDesign) -> tuple[Leg, ...]:
-    """Straight, a full circle, up, down, faster, straight."""
+    """Return the legs of the acceptance flight: straight, a full circle, up, down, faster, straight."""
     rate = 0.6 * design.climb
     return (
         Straight(30.0),
@@ -246,7 +246,7 @@ def acceptance_legs(design: GainDesign) -> tuple[Leg, ...]:
 
 
 def plan_acceptance(aircraft: AircraftSpec, design: GainDesign) -> FlightSpec:
-    """Return the flight that a design is accepted by, in calm air."""
+    """Return the acceptance flight of a design, in calm air."""
     return FlightSpec(
         aircraft=aircraft,
         rate=100.0,

@@ -17,7 +17,7 @@ _ROLL = 5.0  # by which a turn begins before its arc and ends after it [s]
 
 
 def measure_off_track(spec: FlightSpec, truth: Trajectory, rows: IntArray) -> tuple[FloatArray, FloatArray]:
-    """Return where a flight was off its tracks, and their directions.
+    """Return the deviation of a flight from its tracks, and the directions of the tracks.
 
     Tracks are the straights between the points of each ``waypoints`` leg, and the arcs by which its guidance
     joins them: tangent to both, with the radius of the bank at the highest ground speed of the leg. With a
@@ -79,7 +79,7 @@ def measure_off_track(spec: FlightSpec, truth: Trajectory, rows: IntArray) -> tu
 
 
 def _find_radius(spec: FlightSpec, number: int, bank: float) -> float:
-    """Return the radius of the turns of a leg, as its guidance lays them (`guidance.paths`) [m]."""
+    """Return the turn radius of a leg [m], as its guidance computes it (`guidance.paths`)."""
     wanted = [spec.speed, *(getattr(leg, "speed", None) for leg in spec.legs[: number + 1])]
     speeds = [speed for speed in wanted if speed is not None]
     begun = [speed for speed in wanted[:-1] if speed is not None]
@@ -90,7 +90,7 @@ def _find_radius(spec: FlightSpec, number: int, bank: float) -> float:
 def _resolve(
     at: FloatArray, origin: FloatArray, to_n: FloatArray, direction: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return how far points (K, 3) are along a direction [rad] and to its right, from an origin [m]."""
+    """Return the distances of points (K, 3) from an origin, along a direction [rad] and to its right [m]."""
     north, east, _ = ((at - origin) @ to_n).T
     c, s = np.cos(direction), np.sin(direction)
     return north * c + east * s, east * c - north * s

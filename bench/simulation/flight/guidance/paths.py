@@ -1,4 +1,4 @@
-"""Paths over ground of straights and arcs, and the guidance that keeps an aircraft on one whatever the wind.
+"""Ground paths of straights and arcs, and the guidance that keeps an aircraft on a path in any wind.
 
 The bank holds the curvature of the path at the present ground speed, taken a little ahead of the aircraft
 because bank follows its set-point late, and brings the distance off the path to zero:
@@ -39,11 +39,11 @@ class Segment:
     curvature: float  # to the right [1/m]; 0 straight
 
     def end(self) -> tuple[Point, float]:
-        """Return the point and the course at its end."""
+        """Return the point and the course at the end of the segment."""
         return self.at(self.length)
 
     def at(self, along: float) -> tuple[Point, float]:
-        """Return the point and the course after a way along it [m]."""
+        """Return the point and the course at a distance along the segment [m]."""
         turned = self.curvature * along
         half = 0.5 * turned
         chord = along * (math.sin(half) / half if abs(half) > 1e-9 else 1.0)
@@ -55,7 +55,8 @@ class Segment:
         )
 
     def relative(self, point: Point) -> tuple[float, float, float]:
-        """Return where a point is: along it [m], off it to the right [m], and the course there [rad]."""
+        """Return the position of a point: along the segment and to its right [m], and the course there
+        [rad]."""
         north, east = point[0] - self.start[0], point[1] - self.start[1]
         c, s = math.cos(self.course), math.sin(self.course)
         ahead, right = north * c + east * s, east * c - north * s
@@ -78,11 +79,11 @@ class SegmentPath:
         self.point, self.course = start, course
 
     def straight(self, length: float) -> None:
-        """Go on straight by a length [m]."""
+        """Append a straight of a length [m]."""
         self._add(length, 0.0)
 
     def arc(self, angle: float, radius: float) -> None:
-        """Turn by an angle, positive to the right [rad], on a radius [m]."""
+        """Append an arc by an angle, positive to the right [rad], with a radius [m]."""
         self._add(abs(angle) * radius, math.copysign(1 / radius, angle))
 
     def _add(self, length: float, curvature: float) -> None:
@@ -92,7 +93,7 @@ class SegmentPath:
             self.point, self.course = segment.end()
 
     def at(self, along: float) -> Point:
-        """Return the point after a way along the path [m]; beyond the end it goes straight on."""
+        """Return the point at a distance along the path [m]; beyond the end the path continues straight."""
         for segment in self.segments:
             if along <= segment.length or segment is self.segments[-1]:
                 return segment.at(along)[0]
@@ -101,11 +102,11 @@ class SegmentPath:
 
     @property
     def length(self) -> float:
-        """Of the whole path [m]."""
+        """Length of the whole path [m]."""
         return sum(segment.length for segment in self.segments)
 
     def towards(self, target: Point, radius: float, what: str) -> None:
-        """Turn the shorter way until the course leads to a point, which is not passed yet."""
+        """Append the shorter turn until the course leads to a point ahead."""
         north, east = target[0] - self.point[0], target[1] - self.point[1]
         bearing = math.remainder(math.atan2(east, north) - self.course, math.tau)
         if abs(bearing) < 1e-9:
@@ -129,7 +130,7 @@ def turn_radius(cockpit: Cockpit, bank: float) -> float:
 
 
 def run_in(cockpit: Cockpit, bank: float) -> float:
-    """Return the straight a path needs before its first turn, for the bank to be there in time [m]."""
+    """Return the straight length [m] before the first turn that the aircraft needs to roll to its bank."""
     fastest = cockpit.fastest() + cockpit.wind_speed()
     return fastest * (cockpit.bank_lag + 0.5 * roll_time(bank))
 
@@ -150,7 +151,7 @@ class Follower:
         cockpit.lat_mode(1)
 
     def steer(self, limit: float | None = None) -> bool:
-        """Write the bank of this time, within a limit [rad]; False when the path is flown."""
+        """Write the bank command of this epoch, within a limit [rad]; return False at the end of the path."""
         point = self._plane.position()
         track, speed = self._plane.track()
         along, off, course = self._segments[self._index].relative(point)
@@ -173,7 +174,7 @@ class Follower:
         return True
 
     def _ahead(self, along: float, speed: float) -> float:
-        """Curvature as far ahead as the bank is late, blended over the time of a roll [1/m]."""
+        """Curvature ahead by the lag of the bank, blended over the time of a roll [1/m]."""
         width = speed * self._window
         begin = along + speed * self._cockpit.bank_lag - 0.5 * width
         total, edge = 0.0, 0.0
@@ -194,7 +195,7 @@ class Follower:
 def follow(
     cockpit: Cockpit, plane: Plane, path: SegmentPath, bank: float, alt: Heights | None = None
 ) -> Steps:
-    """Fly a path to its end, at heights along it if there are any; ends in heading mode."""
+    """Fly a path to its end, with heights along the path if given; ends in heading mode."""
     follower = Follower(cockpit, plane, path, bank)
     strayed = max(_STRAYED, turn_radius(cockpit, bank))
     planned = path.length / max(cockpit.speed_wanted - cockpit.wind_speed(), 1.0)
@@ -218,7 +219,7 @@ class Heights:
     """Heights along a path, from one to the next without a corner."""
 
     def __init__(self, cockpit: Cockpit, places: list[float], heights: list[float]) -> None:
-        """Take ways along the path [m], increasing, and the ellipsoidal heights there [m]."""
+        """Store increasing distances along the path [m], and the ellipsoidal heights there [m]."""
         self.places, self.heights = places, heights
         self._gain = cockpit.gain("altitude-gain")
         for k in range(1, len(places)):
@@ -234,7 +235,7 @@ class Heights:
         cockpit.lon_mode(2)
 
     def climb(self, cockpit: Cockpit, along: float, speed: float) -> None:
-        """Write the vertical speed that keeps to the heights at a way along the path [m]."""
+        """Write the vertical speed that follows the heights, at a distance along the path [m]."""
         height, _ = self._at(along)
         _, slope = self._at(along + speed * cockpit.climb_lag)
         cockpit.set_climb(speed * slope + self._gain * (height - cockpit.alt()))
@@ -252,10 +253,10 @@ class Heights:
 
 
 class SmoothHeights(Heights):
-    """Heights at small steps along a path; they have no corners of their own."""
+    """Smooth heights at small steps along a path."""
 
     def __init__(self, cockpit: Cockpit, step: float, heights: FloatArray) -> None:
-        """Take the step [m] and the ellipsoidal heights at 0, 1, 2 ... steps [m]."""
+        """Store the step [m] and the ellipsoidal heights at 0, 1, 2 ... steps [m]."""
         super().__init__(cockpit, [], heights.tolist())
         self._ways = step * np.arange(len(heights))
         self._slopes = np.gradient(heights, step)

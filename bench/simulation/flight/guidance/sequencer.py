@@ -1,4 +1,4 @@
-"""Legs of a flight into set-points of the guidance system, at 20 Hz on sample epochs.
+"""Conversion of legs to set-points of the guidance system, at 20 Hz on sample epochs.
 
 Each leg is a generator: it writes set-points, yields once per time, returns when
 it is flown, and may return in words how it went. Set-points begin and end smoothly,
@@ -130,7 +130,7 @@ def describe(number: int, leg: Leg) -> str:
 
 
 def _watch(cockpit: Cockpit, leg: Leg) -> None:
-    """Raise FlightError when the flight has left the air or what guidance is tuned for."""
+    """Raise FlightError if the aircraft has hit the ground or left the envelope of the guidance."""
     speed, agl, roll = cockpit.speed(), cockpit.true_alt_agl(), cockpit.true_roll()
     low, high = 0.25 * cockpit.aircraft.min_speed, 2.0 * cockpit.aircraft.max_speed
     on_runway = leg.needs != "air"

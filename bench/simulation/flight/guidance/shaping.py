@@ -1,4 +1,4 @@
-"""Set-points over time, one value per time of the sequencer: they begin and end without a corner."""
+"""Smooth set-points over time, one value per epoch of the sequencer, with zero slope at both ends."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def wait(duration: float) -> Steps:
 
 
 def roll_time(bank: float) -> float:
-    """Return how long a bank is rolled in or out [s]."""
+    """Return the time to roll into or out of a bank [s]."""
     return max(1.0, 1.5 * bank / ROLL_RATE)
 
 

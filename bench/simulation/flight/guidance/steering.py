@@ -24,7 +24,7 @@ class AttitudeCommand:
     throttle: float  # 0 to 1
 
     def describe_wrong(self) -> str:
-        """Return what is wrong, in words that follow "with"; empty if nothing is."""
+        """Return the error of the command in words that follow "with"; empty if it is valid."""
         if not all(map(math.isfinite, astuple(self))):
             return "NaN in it"
         if abs(self.bank) > math.pi or abs(self.pitch) > math.pi / 2:
@@ -32,7 +32,7 @@ class AttitudeCommand:
         return "" if 0 <= self.throttle <= 1 else "a throttle that is not 0 to 1"
 
     def write(self, cockpit: Cockpit) -> None:
-        """Hand all surfaces to the loops, and give them these targets."""
+        """Let the control loops move all surfaces to these targets."""
         for surface in SURFACES:
             cockpit.direct_share[surface](0.0)
         cockpit.set_bank(self.bank)
@@ -45,7 +45,7 @@ class AttitudeCommand:
 
 @dataclass(frozen=True, slots=True)
 class SurfaceCommand:
-    """Surfaces as JSBSim's normalized commands have them, without any loop."""
+    """Surfaces as normalized commands of JSBSim, without any control loop."""
 
     aileron: float  # -1 to 1
     elevator: float
@@ -53,7 +53,7 @@ class SurfaceCommand:
     throttle: float  # 0 to 1
 
     def describe_wrong(self) -> str:
-        """Return what is wrong, in words that follow "with"; empty if nothing is."""
+        """Return the error of the command in words that follow "with"; empty if it is valid."""
         *surfaces, throttle = astuple(self)
         if not all(map(math.isfinite, astuple(self))):
             return "NaN in it"
@@ -78,7 +78,7 @@ class Commands:
         self.ended = ""  # why no more can come
 
     def __repr__(self) -> str:
-        """Return the same for all: it is no part of a plan."""
+        """Return the same text for all commands, because they are no part of a plan."""
         return "Commands"  # where a plan is hashed
 
 
@@ -92,7 +92,7 @@ class Commanded(Leg):
     commands: Commands
 
     def describe(self) -> str:
-        """Return how long."""
+        """Return the duration of the leg in words."""
         return f"of a client, {self.duration:g} s"
 
     def fly(self, cockpit: Cockpit) -> Steps:

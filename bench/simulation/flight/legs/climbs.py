@@ -65,7 +65,7 @@ class Descend(_AltitudeChange):
 
 
 def climb_ramp(rate: float) -> float:
-    """Return how long a vertical speed [m/s] is built up [s]."""
+    """Return the time to build up a vertical speed [m/s] [s]."""
     return 1.5 * abs(rate) / _CLIMB_CHANGE
 
 

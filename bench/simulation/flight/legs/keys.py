@@ -38,12 +38,12 @@ class Key:
         return unit_of(self.name)
 
     def from_si(self, value: Any) -> Any:
-        """Return a value in SI in the unit of the file, without the last digits, which rounding makes."""
+        """Return an SI value in the unit of the file, without digits due to rounding."""
         return float(f"{from_si(self.name, value):.12g}") if isinstance(value, float) else value
 
 
 class KeyedField(NamedTuple):
-    """A field of a leg, or of a row in one."""
+    """A field of a leg, or of a row in a leg."""
 
     field: str
     key: Key
@@ -103,7 +103,7 @@ def side_of(value: float) -> str:
 
 
 def check_leg(leg: Leg, start: LegStart) -> list[str]:
-    """Return all that does not fit the aircraft or what is before the leg, a line each."""
+    """Return the conflicts of a leg with the aircraft or the legs before it, one line each."""
     return [*_check_limits(leg, start.aircraft), *_check_begin(leg, start.after), *leg.check(start)]
 
 
@@ -145,6 +145,6 @@ Speed = Annotated[float, Key("speed_mps", "true airspeed", *SPEEDS, least="min_s
 
 @dataclass(frozen=True)
 class AtSpeed(Leg):
-    """A leg that may change the airspeed while it is flown; otherwise it holds that of the leg before."""
+    """A leg that may change the airspeed; otherwise it holds the airspeed of the leg before."""
 
     speed: Speed | None = field(default=None, kw_only=True)

@@ -188,7 +188,7 @@ class LandingRoll(Leg):
 
 
 def _place(line: SegmentPath, plane: Plane) -> str:
-    """Return where the aircraft is on the runway in words: as assumed, and in truth if that differs."""
+    """Return the position on the runway in words: as estimated, and the true position if it differs."""
 
     def say(point: tuple[float, float]) -> str:
         along, off, _ = line.segments[0].relative(point)

@@ -1,4 +1,4 @@
-"""Legs that begin on a runway, and the way along its centerline."""
+"""Legs that begin on a runway, and the steering along its centerline."""
 
 from __future__ import annotations
 
@@ -243,19 +243,19 @@ def _roll_to(cockpit: Cockpit, center: Centerline, speed: float) -> Steps:
 
 
 def check_runway(aircraft: AircraftSpec) -> list[str]:
-    """Say that an aircraft cannot be taken off or landed."""
+    """Return an error line if an aircraft cannot take off and land."""
     return [] if aircraft.runway else [f"the {aircraft.name} has no [runway] in its aircraft.toml"]
 
 
 def find_runway(cockpit: Cockpit) -> tuple[Runway, RunwaySpec]:
-    """Return the runway and how the aircraft uses one; raise FlightError where either is missing."""
+    """Return the runway and the runway data of the aircraft; raise FlightError if either is missing."""
     if cockpit.runway is None or cockpit.aircraft.runway is None:
         raise FlightError(f"the {cockpit.aircraft.name} has no runway here")
     return cockpit.runway, cockpit.aircraft.runway
 
 
 def centerline(runway: Runway) -> SegmentPath:
-    """Return the centerline, from the threshold on; along it is negative before the threshold."""
+    """Return the centerline from the threshold on; distances before the threshold are negative."""
     path = SegmentPath((0.0, 0.0), runway.heading)
     path.straight(1e6)
     return path
@@ -271,11 +271,11 @@ class Centerline:
         self.along, self.off, _ = self._line.relative(self._plane.position())
 
     def wheel_speed(self) -> float:
-        """Return the speed over ground [m/s]: wheels turn as the aircraft rolls in truth."""
+        """Return the true speed over ground [m/s], as measured by the wheels."""
         return self._plane.true_speed()
 
     def steer(self) -> None:
-        """Point the nose back to the centerline."""
+        """Steer the nose back to the centerline."""
         self.along, self.off, _ = self._line.relative(self._plane.position())
         if abs(self.off) > EDGE:
             raise FlightError(f"ran off the runway to the {side_of(self.off)}: {self._cockpit.state()}")

@@ -1,4 +1,4 @@
-"""Legs by the surfaces themselves: guidance hands over softly, and takes back what is left of the flight."""
+"""Legs by direct surface commands: guidance hands over smoothly, and recovers the flight afterwards."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _NO_DEFLECTION = "a deflection of 0 does nothing"
 
 @dataclass(frozen=True)
 class Doublet(Leg):
-    """Deflect a surface to one side, then to the other, guidance off for it."""
+    """Deflect a surface to one side, then to the other, without guidance of this surface."""
 
     kind = "doublet"
     surface: Annotated[Literal["aileron", "elevator", "rudder"], Key("surface", "which one")]
@@ -57,7 +57,7 @@ class Doublet(Leg):
         return [] if self.amplitude else [_NO_DEFLECTION]
 
     def fly(self, cockpit: Cockpit) -> Steps:
-        """Hand the surface over, deflect it to and fro about where it was, take it back."""
+        """Deflect the surface to both sides of its present deflection, then return it to guidance."""
         for _ in range(self.count):
             begun = yield from _take(cockpit, self.surface)
             last = 0.0
@@ -93,7 +93,7 @@ class AileronRoll(AtSpeed):
         return [f"{write_key(self, 'aileron')} is too little to roll around; 0.2 to 1"] if little else []
 
     def fly(self, cockpit: Cockpit) -> Steps:
-        """Pitch up, roll around with elevator and rudder as they are, take the wings level."""
+        """Pitch up, roll around with fixed elevator and rudder, level the wings."""
         for _ in range(self.count):
             alt = cockpit.alt_wanted
             yield from _pitch_to(cockpit, self.pitch)
@@ -178,7 +178,7 @@ class WindUpTurn(AtSpeed):
 
 
 def _take(cockpit: Cockpit, surface: str) -> Generator[None, None, float]:
-    """Take a surface over where it is; returns where that was."""
+    """Take over a surface at its present deflection, and return the deflection."""
     begun = cockpit.surface[surface]()
     cockpit.direct[surface](begun)
     for share in smooth(_HANDOVER):
@@ -206,7 +206,7 @@ def _pitch_to(cockpit: Cockpit, pitch: float) -> Steps:
 
 
 def _recovered(cockpit: Cockpit) -> Steps:
-    """Fly on until the wings are level and the wanted altitude is reached."""
+    """Continue until the wings are level and the commanded altitude is reached."""
 
     def level() -> bool:
         near = abs(cockpit.alt_wanted - cockpit.alt()) < _NEAR_ALT and abs(cockpit.climb()) < _NEAR_CLIMB

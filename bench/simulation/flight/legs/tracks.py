@@ -1,4 +1,4 @@
-"""Legs along tracks over ground. The wind moves the bank, not the track."""
+"""Legs along tracks over ground; wind changes the bank, not the track."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class Point:
             raise ValueError("needs either lat_deg and lon_deg or north_m and east_m")
 
     def place(self, start_lla: tuple[float, float, float]) -> tuple[float, float]:
-        """Return its latitude and longitude [rad]; the profile starts at start_lla (rad, rad, m)."""
+        """Return latitude and longitude of the point [rad]; the profile starts at start_lla (rad, rad, m)."""
         if self.lat is not None and self.lon is not None:
             return self.lat, self.lon
         beside = matrix_en(start_lla[0], start_lla[1]) @ np.array([self.north, self.east, 0.0])
@@ -77,7 +77,7 @@ class PointToPoint(AtSpeed):
         return f"{format_count(len(self.points), 'point')}, bank {format_deg(self.bank)}"
 
     def fly(self, cockpit: Cockpit) -> Steps:
-        """Turn to the first point, then fly by each on an arc tangent to both its tracks, to the last."""
+        """Turn to the first point, then pass each point on an arc tangent to both tracks, up to the last."""
         plane = cockpit.plane_here()
         radius = turn_radius(cockpit, self.bank)
         path = _begin_path(plane)
@@ -116,7 +116,7 @@ class PointToPoint(AtSpeed):
     def _find_heights(
         self, cockpit: Cockpit, plane: Plane, path: SegmentPath, ways: list[float], alts: list[float]
     ) -> Heights | None:
-        """Return the heights along the path with its points at ``ways``; None keeps the present height."""
+        """Return the heights along the path, with its points at distances ``ways``; None keeps the height."""
 
 
 @dataclass(frozen=True)
@@ -157,7 +157,7 @@ class TerrainFollowing(PointToPoint):
     def _find_heights(
         self, cockpit: Cockpit, plane: Plane, path: SegmentPath, ways: list[float], alts: list[float]
     ) -> Heights:
-        """Return heights that no climb of the aircraft is too slow for."""
+        """Return heights that the aircraft can follow with its climb rate."""
         count = math.ceil(path.length / _GROUND_STEP) + 1
         along = np.linspace(0.0, path.length, count)
         at = [path.at(float(way)) for way in along]
@@ -174,7 +174,7 @@ class TerrainFollowing(PointToPoint):
 
 
 def clear_heights(least: FloatArray, step: float, slope: float, width: int) -> FloatArray:
-    """Return heights that are never below others and no steeper than a slope.
+    """Return heights that are never below given heights and nowhere steeper than a slope.
 
     The others are raised to the cones of that slope that stand on each of them, then to the largest within
     an odd number of samples, ``width``, whose mean rounds the corners.
@@ -231,12 +231,12 @@ class Survey(AtSpeed):
 
 
 def _begin_path(plane: Plane, course: float | None = None) -> SegmentPath:
-    """Return a path from the present position, on a course [rad] or else the present one."""
+    """Return a path from the present position, on a given course [rad] or the present course."""
     return SegmentPath(plane.position(), plane.track()[0] if course is None else course)
 
 
 def _turn_around(path: SegmentPath, side: int, across: float, radius: float) -> None:
-    """Turn by 180 deg to a track that is a distance across to one side."""
+    """Turn by 180 deg to a parallel track at a distance to one side."""
     if across >= 2 * radius:
         path.arc(side * 0.5 * math.pi, radius)
         path.straight(across - 2 * radius)

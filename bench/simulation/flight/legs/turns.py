@@ -98,7 +98,7 @@ class FigureEight(AtSpeed):
 
 @dataclass(frozen=True)
 class STurns(AtSpeed):
-    """Swing about the course, right first, and end on it."""
+    """Turn to both sides of the course, right first, and end on the course."""
 
     kind = "s-turns"
     by: Annotated[float, Key("by_deg", "largest angle off the course", 1, 180)]
@@ -180,7 +180,7 @@ def roll_through(cockpit: Cockpit, by: float, bank: float) -> Steps:
 
 
 def _bank_that_fits(cockpit: Cockpit, to_go: float, bank: float) -> float:
-    """Return the largest bank up to the wanted bank at which roll in and out turn no further than wanted."""
+    """Return the largest bank, up to the commanded one, whose roll in and out do not turn too far."""
     while bank > math.radians(1.0) and 2 * turned_in_roll(bank, cockpit.speed()) > to_go:
         bank *= 0.95
     return bank

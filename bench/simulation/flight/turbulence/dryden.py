@@ -1,4 +1,4 @@
-"""Dryden turbulence over ground, flown through as a field that is frozen in the air.
+"""Dryden turbulence over ground, as a gust field frozen in the air.
 
 Shaping filters of MIL-F-8785C (3.7.1.2, 3.7.2); those of MIL-STD-1797A are the same, with 2 L_v and 2 L_w for
 L_v and L_w. They are filters of the distance through the air, not of time: a step of V dt, in calm air, is
@@ -122,7 +122,7 @@ class GustFilters:
         return phi, noise
 
     def gusts(self, states: FloatArray, height_figures: tuple[float, float, float, float]) -> FloatArray:
-        """Return the gusts of states (T, 8) at the result of :func:`scales_and_intensities`, (T, 6)."""
+        """Return the gusts (T, 6) of states (T, 8), for a result of :func:`scales_and_intensities`."""
         _, length_w, sigma_u, sigma_w = height_figures
         u, v1, v2, v_tail, w1, w2, w_tail, p = states.T
         root = math.sqrt(3.0)
@@ -142,7 +142,7 @@ class GustFilters:
 
 
 def discretize_chain(length: float, tail: float, step: float) -> tuple[FloatArray, FloatArray]:
-    """Exact step of (1 + sqrt(3) L s) / (1 + L s)^2 with a lag behind it: transition and noise factor (3, 3).
+    """Exact step of (1 + sqrt(3) L s) / (1 + L s)^2 followed by a lag: transition and noise factor (3, 3).
 
     The transition is triangular; the covariance is the integral of what a unit pulse becomes, smooth over a
     step that is shorter than the scales.
@@ -183,7 +183,7 @@ def _phi_2(x: FloatArray) -> FloatArray:
 
 
 def through_turbulence(fdm: Any, spec: FlightSpec, dt: float) -> Callable[[], Any]:
-    """Return what steps the model through the turbulence of the plan: in none it is its own ``run``.
+    """Return the step function of the model with the turbulence of the plan, or JSBSim's own ``run``.
 
     The gust is zero at the start, where the aircraft is trimmed, and has its full strength after the
     distance of a few scales. Models of others have no property for the rates of the air: they feel u, v

@@ -16,7 +16,7 @@ _LEAST_NORTH = 0.01 * FT  # [m/s]
 
 
 def air_velocity(wind_from: float, wind_speed: float) -> FloatArray:
-    """Return the velocity of the air mass, (3,) [m/s], frame n; wind_from is where it comes from [rad].
+    """Return the velocity of the air mass (3,) [m/s], n; wind_from is the direction it comes from [rad].
 
     JSBSim turns its turbulence with the wind only while the north component is not
     zero: a wind from due east or west gets 0.01 ft/s (3 mm/s) of it.
@@ -33,7 +33,7 @@ def air_velocity(wind_from: float, wind_speed: float) -> FloatArray:
 
 
 def set_wind(fdm: Any, wind_n: FloatArray) -> None:
-    """Blow a steady wind, (3,) velocity of the air mass [m/s], frame n."""
+    """Set a steady wind: velocity of the air mass (3,) [m/s], n."""
     for axis, speed in zip(("north", "east", "down"), wind_n, strict=True):
         fdm[f"atmosphere/wind-{axis}-fps"] = float(speed) / FT
 
@@ -59,7 +59,7 @@ class Weather:
         return wind_n
 
     def blow(self, t: float, alt: float) -> None:
-        """Write the wind of this time [s] and height [m], and begin the gust that is due."""
+        """Set the wind at this time [s] and height [m], and begin the next gust if it is due."""
         if len(self._alts):
             set_wind(self._fdm, self.wind_at(alt))
         if self._gusts and t >= self._gusts[0].start - SAME_INSTANT:

@@ -88,7 +88,7 @@ def track_bands(
 
 
 def make_processing(sky: SkySpec) -> Processing:
-    """Return the settings by which the receiver computes its fixes: it knows how large its errors are."""
+    """Return the settings of the fix computation in the receiver, with the true sigmas of its errors."""
     return Processing(
         budget=ErrorBudget(
             zenith_ionosphere=sky.ionosphere_sd,

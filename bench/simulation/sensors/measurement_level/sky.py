@@ -165,7 +165,7 @@ def measure(
 
 
 def _claim(fixes: GnssFixes, optimism: float) -> GnssFixes:
-    """Return the solved fixes with the covariances that the receiver states."""
+    """Return the solved fixes with the covariances that the receiver reports."""
     solved = np.isfinite(fixes.lla).all(axis=1) & np.isfinite(fixes.vel_n).all(axis=1)
     columns = {name: getattr(fixes, name)[solved] for name in GnssFixes.__slots__}
     for name in ("cov_pos_n", "cov_vel_n"):
@@ -230,7 +230,7 @@ class SkyErrors:
         return out
 
     def draw_field(self, seen: Look, correlation: float, decay: float) -> FloatArray:
-        """Draw the ionosphere (K,) of unit variance where signals pierce it, in steps as `draw_markov`."""
+        """Draw the ionosphere error (K,) of unit variance at pierce points, in the steps of `draw_markov`."""
         waves = draw_waves(self._draws.constant("ionosphere.waves", WAVES, 4), decay)
         out = np.empty(len(self._epoch))
         if len(self._t):
@@ -239,7 +239,8 @@ class SkyErrors:
         return out
 
     def _go_on(self, name: str, correlation: float, columns: int) -> tuple[int, int, FloatArray]:
-        """Draw unit Gauss-Markov processes on; return epochs before epoch 0, epochs a step, values (B, S)."""
+        """Continue unit Gauss-Markov processes; return epochs before epoch 0, epochs a step, values (B,
+        S)."""
         stride = max(1, int(correlation / 40.0 * self._rate))
         noise = self._draws.stream(name)
         kept: list[Any] = self._draws.keep(name, lambda: [0, noise.standard_normal((1, columns))], "knots")
@@ -318,7 +319,7 @@ def _make_observations(
 
 
 def _hears(content: IntArray, start: IntArray, held: faults.HeldRows) -> BoolArray:
-    """Return a mask of the epochs ``content`` (M,), of this piece or kept ones, that have a satellite."""
+    """Return a mask of the epochs ``content`` (M,), of this piece or stored, that have a satellite."""
     older = [len(observations.t) > 0 for observations, _ in held.rows]
     known = np.concatenate([np.array(older, bool), np.diff(start) > 0])
     heard: BoolArray = known[content + len(older)]

@@ -56,7 +56,7 @@ class View(NamedTuple):
         return self._replace(**{name: getattr(self, name)[self.received] for name in self._fields[4:]})
 
     def replace_epochs(self, other: View, epochs: BoolArray) -> View:
-        """Return this view with the epochs marked in ``epochs`` (M,) taken from another one."""
+        """Return this view with the epochs marked in ``epochs`` (M,) copied from another view."""
         own, others = ~epochs[self.epoch], epochs[other.epoch]
         order = np.argsort(np.concatenate([self.epoch[own], other.epoch[others]]), kind="stable")
         columns = {
@@ -203,7 +203,7 @@ def compute_view(
 def find_track(
     sky: SkySpec, t: FloatArray, draws: SensorDraws
 ) -> tuple[IntArray, IntArray, IntArray, orbits.Track]:
-    """Return :func:`track_constellation` over times t and some more, from the first piece on."""
+    """Return :func:`track_constellation` over times t with a margin; computed only for the first piece."""
     kept = draws.keep("track", list[Any])
     if not kept or t[-1] > kept[1]:
         begin = kept[0] if kept else float(t[0])
