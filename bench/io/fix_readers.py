@@ -1,4 +1,4 @@
-"""Files of GNSS receivers: observations, ephemerides and almanacs, read by what ``bench.fixes`` adds.
+"""Files of GNSS receivers: observations, ephemerides and almanacs, with readers from ``bench.fixes``.
 
 A module of that group has ``recognizes(path) -> bool`` and
 

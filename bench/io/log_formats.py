@@ -1,4 +1,4 @@
-"""The formats of recorded files: what bench reads, and what ``bench.logs`` adds.
+"""Formats of recorded files: built-in formats, and formats from ``bench.logs`` entry points.
 
 A module of that group reads the format of its entry's name: ``read(form, path, kind, topic) -> LogRows`` as
 `bench.io.logs.formats.read` says. It may have

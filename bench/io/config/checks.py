@@ -59,7 +59,7 @@ def check_outages(table: ExperimentTable) -> list[str]:
 
 
 def check_requirements(rows: Sequence[RequirementTable], choices: Sequence[EstimatorChoice]) -> list[str]:
-    """Check that each requirement names a metric, one limit and a filter that there is."""
+    """Check that each requirement names a metric, one limit and an existing filter."""
     wrong, labels = [], [choice.label for choice in choices]
     for k, row in enumerate(rows, 1):
         place = f"[[requirement]] {k}"
@@ -188,12 +188,12 @@ def check_options(document: Mapping[str, Any]) -> list[str]:
 
 
 def is_code(use: str) -> bool:
-    """Return whether a text names a program or a Python class, code that a file runs with permission only."""
+    """Return whether a text names a program or a Python class, which a file may run only with permission."""
     return ":" in use and not use.startswith("file:") and use not in BUILT_IN and not is_autopilot(use)
 
 
 def is_guarded(use: str) -> bool:
-    """Return whether a filter runs in a process of its own: a program, or a class that is not ours."""
+    """Return whether a filter runs in a separate process: a program, or a class that is not built in."""
     return is_code(use) or (use not in BUILT_IN and use in find_installed("estimators", BUILT_IN))
 
 
@@ -208,7 +208,7 @@ def list_names() -> list[str]:
 
 
 def check_code(own: Sequence[EstimatorChoice], run: Sequence[EstimatorChoice]) -> list[str]:
-    """Reject the code that a file would run, so that a foreign file runs none undetected.
+    """Reject code that a file would run, so that a foreign file cannot run code undetected.
 
     ``own`` are the filters of the file, ``run`` those to run: with -e the user names code himself. What
     an installed package adds was installed by the user.

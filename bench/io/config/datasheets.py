@@ -1,4 +1,4 @@
-"""Read sensor datasheets, in the units of their maker, and return specs in SI."""
+"""Read sensor datasheets, in the units of the manufacturer, and return specs in SI."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ _Thermal, _Vibration = make_table_type(ThermalSpec), make_table_type(VibrationSp
 
 
 class ImuSheet(Sheet):
-    """An IMU; figures that the datasheet does not give are left out."""
+    """Datasheet of an IMU; values that it does not specify are left out."""
 
     gyro: _make_triad_table("gyro") = Field(default_factory=dict)  # type: ignore[valid-type]
     accel: _make_triad_table("accel") = Field(default_factory=dict)  # type: ignore[valid-type]
@@ -144,7 +144,7 @@ def read_imu(path: Path, shown: str, changes: Mapping[str, Any] | None = None) -
 
 
 def _split_axes(document: dict[str, Any]) -> tuple[dict[str, list[AxisFigures]], list[str]]:
-    """Replace figures given for x, y and z by the largest; return them in SI by triad, and what is wrong."""
+    """Replace values given for x, y and z by the largest; return the values by axis in SI, and the errors."""
     found: dict[str, list[AxisFigures]] = {name: [] for name in _TRIADS}
     wrong = []
     for name in _TRIADS:
@@ -217,7 +217,7 @@ def _make_name(path: Path, changes: Mapping[str, Any] | None) -> str:
 
 
 def _read_document(path: Path, shown: str, changes: Mapping[str, Any] | None) -> dict[str, Any]:
-    """Read a datasheet and replace figures; the same figure under another key is left out."""
+    """Read a datasheet and replace values; the same quantity under another key is left out."""
     document = read_toml(path, shown)
     for key, value in (changes or {}).items():
         table, *inner, name = key.split(".")

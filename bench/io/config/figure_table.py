@@ -1,4 +1,4 @@
-"""The figures of all sensors of a kind side by side, each figure in one unit."""
+"""Datasheet values of all sensors of a kind side by side, each quantity in one unit."""
 
 from __future__ import annotations
 

@@ -99,7 +99,7 @@ def _check_terrain(table: ProfileTable) -> list[str]:
 def check_radar_use(
     table: ProfileTable, terrain: TerrainSpec | None, choices: Sequence[EstimatorChoice]
 ) -> list[str]:
-    """Check that no filter, also of guidance, takes heights above hills for heights above the runway."""
+    """Check that no filter, also for guidance, treats heights above hills as heights above the runway."""
     if terrain is None:
         return []
     use = "takes a height for one above the runway: not with [terrain] file"

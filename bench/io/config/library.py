@@ -117,7 +117,7 @@ def name_profile(profile: object) -> str:
 
 
 class ForeignTable(AircraftTable):
-    """The file of an aircraft that was not made for the bench."""
+    """The file of an aircraft that was not made for bench."""
 
     properties: dict[str, float] = Field(default_factory=dict)
     """A table: JSBSim properties set before the start; in aircraft/jsbsim, and for a model of yours without
@@ -151,7 +151,7 @@ def find_aircraft(name: str, beside: Path) -> Path:
 
 
 def read_aircraft(folder: Path, beside: Path) -> AircraftSpec:
-    """Read the aircraft of a folder; its ``systems`` are searched beside it and where aircraft are.
+    """Read the aircraft of a folder; its ``systems`` are searched beside it and in the aircraft folders.
 
     Raises
     ------

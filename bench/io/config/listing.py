@@ -58,7 +58,7 @@ class CatalogEntry(NamedTuple):
 
 
 def list_aircraft_folders(beside: Path | None = None) -> list[Path]:
-    """Return the folders in which aircraft are searched, that beside a profile first."""
+    """Return the folders in which aircraft are searched, the folder beside a profile first."""
     beside_profile = [beside / "aircraft"] if beside else []
     tree = [PACKAGE.parent / "aircraft"] if (PACKAGE.parent / "pyproject.toml").is_file() else []
     return [*beside_profile, *tree, PACKAGE / "aircraft"]
@@ -162,7 +162,7 @@ def _make_unit(kind: str, path: Path, package: str) -> CatalogEntry:
 
 
 def find_unit(kind: str, name: str) -> CatalogEntry | None:
-    """Return a sensor of the catalog; None if it is not in there."""
+    """Return a sensor of the catalog; None if the catalog does not contain it."""
     found = find_sheets(kind).get(name)
     return None if found is None else _make_unit(kind, *found)
 
@@ -219,7 +219,7 @@ def _describe_datasheet(kind: str, sheet: Mapping[str, Any]) -> str:
 
 
 def list_missing_figures(kind: str, document: Mapping[str, Any]) -> list[str]:
-    """Return the names, in words, of the errors that a datasheet does not give; the model then lacks them.
+    """Return the names, in words, of the errors that a datasheet does not specify and the model lacks.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Replace single values of a profile or a log, and single figures of the datasheets that it names."""
+"""Replace single values of a profile or a log, and of the datasheets that it names."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def _parse_index(rows: object, part: str, key: str) -> int:
 
 @dataclass(frozen=True, slots=True)
 class DatasheetChanges:
-    """Figures to replace in the datasheets of the units on board, and in those that filters assume.
+    """Values to replace in the datasheets of the sensors on board, and in the datasheets that filters assume.
 
     Figures are in the order in which they were given; the assumed ones include those on board.
     """
@@ -54,7 +54,7 @@ class DatasheetChanges:
     keys: dict[str, Any] = field(default_factory=dict)  # as they were given
 
     def name_assumed(self, units: object) -> dict[str, Any]:
-        """Return the datasheets that a [sensors] table assumes; one changed for filters is the unit's."""
+        """Return the assumed datasheets of a [sensors] table, with changed ones taken from those on board."""
         on_board = units if isinstance(units, Mapping) else {}
         named = on_board.get("assumed")
         changed = {
@@ -65,7 +65,7 @@ class DatasheetChanges:
         return changed | (dict(named) if isinstance(named, Mapping) else {})
 
     def check(self, on_board: Mapping[str, Any], assumed: Mapping[str, Any]) -> list[str]:
-        """Return one line for each figure of a sensor that is not there."""
+        """Return one line for each replaced value whose sensor does not exist."""
         return [
             f"--set {key}: no {kind} is on board"
             for key in self.keys
@@ -74,7 +74,7 @@ class DatasheetChanges:
         ]
 
     def mark(self, document: dict[str, Any]) -> None:
-        """Mark the units that are changed in a document of what was done, and add the overrides to it."""
+        """Mark the changed sensors in the document of a run, and add the overrides to the document."""
         sensors = document["sensors"]
         for names, changed in ((sensors["assumed"], self.assumed), (sensors, self.on_board)):
             names.update({kind: f"{names[kind]}{MODIFIED}" for kind in changed if kind in names})
@@ -90,7 +90,7 @@ _OF_DATASHEETS = re.compile(r"sensors\.(assumed\.)?gnss\.sky\.(almanac|navigatio
 
 
 def _locate(key: str, value: Any, beside: Path) -> Any:
-    """Return the value of an override; a path in it is relative to the present folder, not to the file."""
+    """Return the value of an override; paths are relative to the current folder, not to the file."""
     if isinstance(value, Mapping):
         return {name: _locate(f"{key}.{name}", inner, beside) for name, inner in value.items()}
     if isinstance(value, list):
@@ -105,7 +105,7 @@ def _locate(key: str, value: Any, beside: Path) -> Any:
 
 
 def sets_estimator(overrides: Mapping[str, Any], number: int) -> bool:
-    """Return whether overrides set the use of an entry of [[estimator]]; its path is then the user's own."""
+    """Return whether overrides set the ``use`` of an entry of [[estimator]], as trusted user input."""
     return any(key in overrides for key in ("estimator", f"estimator.{number}", f"estimator.{number}.use"))
 
 
@@ -158,7 +158,7 @@ def describe_choice(choice: EstimatorChoice) -> dict[str, Any]:
 def set_seed(
     document: dict[str, Any], overrides: dict[str, Any], seed: int | None
 ) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return a document with this seed, and the other overrides; the seed of an override wins."""
+    """Return a document with a seed, and the other overrides; a seed among the overrides takes precedence."""
     if seed is None:
         return document, overrides
     used = overrides.pop("seed", seed)

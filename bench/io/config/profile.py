@@ -1,4 +1,4 @@
-"""Read a profile and return it in SI; overrides win over the file, the file over the defaults."""
+"""Read a profile and return it in SI; overrides replace values of the file, the file replaces defaults."""
 
 from __future__ import annotations
 
@@ -174,7 +174,7 @@ def read_profile(
 def _read_sensors(
     units: Any, beside: Path, shown: str, wrong: list[str], changes: DatasheetChanges
 ) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return the datasheets on board, and those that filters assume, by sensor."""
+    """Return the datasheets on board and the datasheets that filters assume, by sensor."""
     on_board = _find_sensors(units, beside, f"{shown}: [sensors] ", wrong, changes.on_board)
     assumed_names = changes.name_assumed(units)
     assumed = _find_sensors(assumed_names, beside, f"{shown}: [sensors.assumed] ", wrong, changes.assumed)
@@ -284,7 +284,7 @@ def choose_estimators(
 
 
 def _set_guard(choice: EstimatorChoice, guard: Guard) -> EstimatorChoice:
-    """Return a choice with a guard; a time limit of its file counts where that has none."""
+    """Return a choice with a guard; without a time limit in the guard, the limit of the file counts."""
     timeout = choice.guard.timeout if guard.timeout is None else guard.timeout
     return replace(choice, guard=replace(guard, timeout=timeout))
 
@@ -292,7 +292,7 @@ def _set_guard(choice: EstimatorChoice, guard: Guard) -> EstimatorChoice:
 def make_choice(
     use: str, label: str | None = None, options: Mapping[str, Any] | None = None, beside: Path | None = None
 ) -> EstimatorChoice:
-    """Return the choice of a filter; without a label it is named after its use."""
+    """Return the choice of a filter; the default label follows from its ``use``."""
     beside = beside if beside and use.startswith(_OUTSIDE) else Path()
     return EstimatorChoice(use, label or _make_label(use), dict(options or {}), beside)
 
@@ -323,7 +323,7 @@ def _make_label(use: str) -> str:
 
 
 def _number_labels(choices: Sequence[EstimatorChoice]) -> tuple[EstimatorChoice, ...]:
-    """Return the choices; a file or program with a label used before gets a number appended to the label."""
+    """Return the choices; a repeated label of a file or program gets a number appended."""
     counts: Counter[str] = Counter()
     numbered = []
     for choice in choices:

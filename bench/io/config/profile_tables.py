@@ -226,7 +226,7 @@ class EvaluationTable(Table):
     """Output rate of the solution."""
 
     def window(self) -> EvaluationWindow:
-        """Return what the figures count."""
+        """Return the window of the evaluation."""
         return EvaluationWindow.of_document({"evaluation": self.model_dump()})
 
 

@@ -1,4 +1,4 @@
-"""JSON schemas of the TOML files, for editors that complete keys and mark mistakes while one types."""
+"""JSON schemas of the TOML files, for editors that complete keys and mark mistakes."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class _Generator(GenerateJsonSchema):
 
 
 def _find_words(model: type[BaseModel]) -> dict[str, str]:
-    """Return the words of each key: below its field, in the spec it fills, or in the leg it makes."""
+    """Return the description of each key, from its field, its spec or its leg class."""
     words = read_words(model)
     if issubclass(model, SpecTable) and hasattr(model, "spec"):
         of_spec = read_words(model.spec)

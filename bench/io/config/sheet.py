@@ -70,7 +70,7 @@ def convert_figures(spec: type, table: Table) -> dict[str, Any]:
 
 
 def check_figures(spec: type, table: Table, name: str) -> list[str]:
-    """Return one line for each figure that is 0 and must not be: reported noise, and decay constants."""
+    """Return one line for each value that must not be 0 but is: reported noise, and decay constants."""
     wrong = []
     for field, figure in figures_of(spec).items():
         key = figure.key(field)

@@ -47,7 +47,7 @@ def _check_systems(systems: str) -> str:
 
 
 class SkyTable(make_table_type(SkySpec)):  # type: ignore[misc]
-    """Satellites, antenna, receiver, and measurement errors; an error that is left out is off."""
+    """Satellites, antenna, receiver, and measurement errors; omitted errors are zero."""
 
     start: datetime
     """GPS time of the start of the flight."""

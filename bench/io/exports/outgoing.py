@@ -124,7 +124,7 @@ class ExportData:
         return figures
 
     def align(self) -> tuple[ExportData, str]:
-        """Return the data from a complete initial state on, and what was left out before it, in words.
+        """Return the data from a complete initial state on, and a sentence on the data left out before it.
 
         A state that the filters have to find is that of their initial alignment: no later data, no truth.
 

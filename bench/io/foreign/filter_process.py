@@ -1,4 +1,4 @@
-"""A process with a filter, as the process sees it that asks: requests, answers, limits, and the end.
+"""Client side of a filter process: requests, answers, limits, and the end of the process.
 
 What `bench.io.foreign.filter_server` sends is plain arrays and JSON, of which nothing is run. The other way a
 large record goes by a file that the filter can only read.
@@ -127,13 +127,13 @@ class FilterProcess:
             return self.collect()
 
     def assume(self, label: str, seconds: float, specs: AssumedSpecs) -> None:
-        """Let the filter have the datasheets of the records that come, unless it has them."""
+        """Send the datasheets of the next records to the filter, unless it has them."""
         if self._assumed is not specs:
             self.ask(label, "assume", seconds, specs=pack_specs(specs))
             self._assumed = specs
 
     def post(self, label: str, do: str, seconds: float, /, **given: Any) -> None:
-        """Send a request; its answer is to be collected before the next one.
+        """Send a request; collect its answer before the next request.
 
         Parameters
         ----------
@@ -231,7 +231,7 @@ class FilterProcess:
             room = room[len(block) :]
 
     def _take_block(self, most: int = _BLOCK) -> bytes:
-        """Return what comes next, at least a byte."""
+        """Receive the next bytes, at least one."""
         while True:
             try:
                 block = self._line.recv(min(most, _BLOCK))
@@ -245,7 +245,7 @@ class FilterProcess:
             return block
 
     def _wait(self) -> None:
-        """Wait until something comes, but not long; keep what is printed, and look at the limits."""
+        """Wait briefly for data; store printed output, and check the limits."""
         ready = watch(self._poll) or self._poll.poll(1e3 * LOOK)
         if len(ready) != 1 or ready[0][0] != self._number:  # not the line alone
             self._drain(_BLOCKS)
@@ -255,7 +255,7 @@ class FilterProcess:
             self._stop(reason)
 
     def _drain(self, blocks: int) -> None:
-        """Take what has been printed, so many blocks of it."""
+        """Read printed output, up to a number of blocks."""
         self._printing = True
         for _ in range(blocks):
             try:
@@ -271,7 +271,7 @@ class FilterProcess:
             self.printed.add(block)
 
     def _tell_end(self) -> NoReturn:
-        """Return how the process has ended by itself."""
+        """Return the reason why the process ended by itself."""
         with contextlib.suppress(subprocess.TimeoutExpired):
             self._child.wait(PATIENCE)
         self._drain(_BLOCKS)
@@ -307,12 +307,12 @@ class FilterProcess:
 
 
 def pack_specs(specs: AssumedSpecs) -> NDArray[np.uint8]:
-    """Return datasheets for a filter, without orbits; what comes from its process is never unpacked so."""
+    """Pack datasheets for a filter, without orbits; data from its process are never unpacked this way."""
     return np.frombuffer(pickle.dumps(without_orbits(specs)), np.uint8)
 
 
 def _end(child: subprocess.Popen[bytes], line: socket.socket, stream: Any, life: int) -> None:
-    """End a process; that it has ended otherwise is no matter."""
+    """End a process, which may have ended already."""
     line.close()
     end_group(child, signal.SIGKILL)
     stream.close()
@@ -320,7 +320,7 @@ def _end(child: subprocess.Popen[bytes], line: socket.socket, stream: Any, life:
 
 
 class _Kept(threading.local):
-    """The processes of a thread that wait for their next run, by what they run; the last one used last."""
+    """Idle processes of a thread by the filter they run, the most recently used last."""
 
     def __init__(self) -> None:
         self.processes: OrderedDict[object, FilterProcess] = OrderedDict()

@@ -52,7 +52,7 @@ OFFERS = ("in_pieces", "check_sensors", "unmodeled_errors", "identity")
 
 
 def serve(channel: int, life: int) -> None:
-    """Answer the requests that come by a socket, until it is closed; then end this process.
+    """Answer requests from a socket until it is closed; then end this process.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ def serve(channel: int, life: int) -> None:
 
 
 def _end_with(life: int) -> None:
-    """Have this process, and all that it starts, end when the other end of a pipe is closed.
+    """End this process and all that it started when the other end of a pipe is closed.
 
     The kernel of Linux sends SIGKILL by itself, whatever code of the filter runs; elsewhere a thread looks.
     """
@@ -127,7 +127,7 @@ def _receive(line: socket.socket, poll: select.poll) -> tuple[bytes, NDArray[np.
 
 @dataclass
 class _Served:
-    """A filter as requested, and the instance that answers now."""
+    """A requested filter, and its present instance."""
 
     use: str
     label: str
@@ -136,7 +136,7 @@ class _Served:
     used: bool = False
 
     def renew(self) -> estimator.Estimator:
-        """Return an instance that has run on nothing."""
+        """Return a new instance that has not run."""
         if self.used:
             self.one = built_in.load(self.use, self.options)
         self.used = True
@@ -154,7 +154,7 @@ class _FilterServer:
         self._specs: Any = None
 
     def answer(self, text: bytes, body: NDArray[np.uint8]) -> RecordMessage:
-        """Do what a request asks for; return the answer, or why there is none."""
+        """Execute a request; return the answer, or the reason why there is none."""
         request = read_message(text, body, self._specs)
         for number in request["forget"]:
             self._kept.pop(number, None)
@@ -170,11 +170,11 @@ class _FilterServer:
             return RecordMessage({"failed": str(failure), "traceback": said})
 
     def assume(self, specs: NDArray[np.uint8]) -> None:
-        """Take the datasheets of the records that come."""
+        """Store the datasheets of the next records."""
         self._specs = pickle.loads(specs.tobytes())
 
     def open(self, use: str, label: str, options: NDArray[np.uint8]) -> dict[str, Any]:
-        """Build a filter; return its number and what it offers."""
+        """Build a filter; return its number and its optional methods."""
         self._go_home()
         given = pickle.loads(options.tobytes())
         try:
@@ -212,7 +212,7 @@ class _FilterServer:
         return estimator.ask_refusal(served.one, served.label, pickle.loads(specs.tobytes()))
 
     def identity(self, number: int, sensors: SensorData) -> str:
-        """Return what the solution of a filter follows from, in words."""
+        """Return the identity of a filter, on which its solution depends, in words."""
         return repr(self._kept[number].one.identity(sensors))
 
     def begin(
@@ -226,22 +226,22 @@ class _FilterServer:
         return {"number": self._keep(passage), "end": float(passage.end)}
 
     def update(self, number: int, piece: SensorData, look_back: float, last: bool) -> dict[str, Any]:
-        """Feed a copy of a passage; return what it answers, its number and its end."""
+        """Update a copy of a passage; return its solution, its number and its end."""
         passage = self._copy(number)
         solution = passage.update(piece, look_back, last=last)
         return {"solution": solution, "number": self._keep(passage), "end": float(passage.end)}
 
     def ask(self, number: int, head: SensorData) -> NavSolution:
-        """Return what a passage answers at its end."""
+        """Return the solution of a passage at its end."""
         return self._copy(number).current(head)
 
     def state(self, number: int) -> dict[str, Any]:
-        """Return all that a passage carries."""
+        """Return the state of a passage."""
         passage: InPieces = self._kept[number]
         return passage.state()
 
     def restore(self, number: int, state: dict[str, Any]) -> dict[str, Any]:
-        """Have a copy of a passage take over a state; return its number and its end."""
+        """Restore a state into a copy of a passage; return its number and its end."""
         passage = self._copy(number)
         passage.restore(state)
         return {"number": self._keep(passage), "end": float(passage.end)}
@@ -256,7 +256,7 @@ class _FilterServer:
         return self._count
 
     def _go_home(self) -> None:
-        """Go back to the folder where the process began, wherever a filter has gone."""
+        """Change back to the initial folder of the process."""
         with contextlib.suppress(OSError):
             os.chdir(self._home)
 

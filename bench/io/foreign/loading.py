@@ -1,4 +1,4 @@
-"""Choice of the process of a filter: this process, or a process of its own; decided only here."""
+"""Choice of the process of a filter: this process or a separate one; decided only here."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Awaited(Estimator, Protocol):
     """A filter that is being built in its process."""
 
     def wait(self) -> Self:
-        """Return it when it is built."""
+        """Wait until the filter is built, and return it."""
         ...
 
 

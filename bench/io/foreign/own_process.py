@@ -64,7 +64,7 @@ class OwnProcessEstimator:
         return self._printed.text
 
     def wait(self) -> Self:
-        """Wait until it is built, and return it.
+        """Wait until the filter is built, and return it.
 
         Raises
         ------
@@ -112,7 +112,7 @@ class OwnProcessEstimator:
         return found
 
     def _identify(self, sensors: SensorData) -> str:
-        """Return what its solution follows from, as words: equal ones of equal classes mean the same."""
+        """Return the identity of the filter in words: equal identities of a class give equal solutions."""
         try:
             self._ready().assume(self._choice.label, self._limit, sensors.specs)
             found = self._ask("identity", self._limit, sensors=sensors)
@@ -129,7 +129,7 @@ class OwnProcessEstimator:
 
     @property
     def _limit(self) -> float:
-        """Wall time of what is no flight [s]; a busy machine starts a process slowly."""
+        """Limit on the wall time of requests without a flight [s], generous for a busy machine."""
         return max(_LEAST, self._choice.guard.choose_timeout())
 
     def _start(self) -> FilterProcess:
@@ -153,7 +153,7 @@ class OwnProcessEstimator:
 
 
 class _Held:
-    """Something that the process of a filter keeps under a number, until nobody asks for it any more."""
+    """Object that the process of a filter stores under a number until it is released."""
 
     def __init__(self, process: FilterProcess, number: int) -> None:
         self.process, self.number = process, number
@@ -163,7 +163,7 @@ class _Held:
 
 
 class RemotePassage:
-    """A filter on its way through a record in pieces, in its process.
+    """A filter for a record in pieces, in its own process.
 
     It is a `bench.navigation.engine.piecewise.InPieces`. The process keeps what it carries; each piece
     makes another of it, so that a copy costs nothing. It ends with its process.
@@ -173,7 +173,7 @@ class RemotePassage:
         self._held, self._label, self._seconds, self.end = held, label, seconds, end
 
     def update(self, piece: SensorData, look_back: float, *, last: bool) -> NavSolution:
-        """Take the next piece."""
+        """Process the next piece."""
         self._held.process.assume(self._label, self._seconds, piece.specs)
         found = self._ask("update", piece=piece, look_back=look_back, last=last)
         self._move(found)
@@ -191,12 +191,12 @@ class RemotePassage:
         return RemotePassage(self._held, self._label, self._seconds, self.end)
 
     def state(self) -> dict[str, Any]:
-        """Return what is carried from one piece to the next."""
+        """Return the state between two pieces."""
         found: dict[str, Any] = self._ask("state")
         return found
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Take over what :meth:`state` returned."""
+        """Restore the state that :meth:`state` returned."""
         self._move(self._ask("restore", state=dict(state)))
 
     def _ask(self, do: str, **given: Any) -> Any:

@@ -1,4 +1,4 @@
-"""Records as bytes for another process: nothing in them can run.
+"""Records as bytes for another process, without any executable content.
 
 A message is a text and a body. The text is JSON: words as they are, a record as its class and the number of
 its rows, an array as its kind and shape. The body is all numbers and arrays as they lie in memory, each at a
@@ -98,7 +98,7 @@ class _RecordLayout:
         return self._known[width]
 
     def give_empty(self, width: int) -> Any:
-        """Return the record without rows and words; it can be the same each time."""
+        """Return the shared record without rows and words."""
         if width not in self._empty:
             record: Any = object.__new__(self.kind)
             self._empty[width] = record
@@ -149,7 +149,7 @@ _NUMBERS = {_FLOAT[0]: 0, _INT[0]: 1}
 
 
 class RecordMessage:
-    """A value on its way: its text, and its body in parts; of a record of others ``check`` its arrays."""
+    """A value as a message: text, and body in parts; ``check`` the arrays of foreign records."""
 
     def __init__(self, value: Any, *, check: bool = False) -> None:
         self._check = check
@@ -212,7 +212,7 @@ class RecordMessage:
 
 
 def read_message(text: bytes, body: NDArray[np.uint8], specs: AssumedSpecs | None = None) -> Any:
-    """Return the value of a text and its body; its arrays are views of the body, as read-only as that is.
+    """Return the value of a text and its body; arrays are views of the body, read-only if the body is.
 
     Tuples outside records are lists.
 
@@ -235,7 +235,7 @@ def read_message(text: bytes, body: NDArray[np.uint8], specs: AssumedSpecs | Non
 
 
 class _Views(NamedTuple):
-    """A body as it can be looked at, and what its records are given besides."""
+    """Views of a body, and the additional data of its records."""
 
     columns: tuple[NDArray[Any], ...]
     body: NDArray[np.uint8]
@@ -247,20 +247,20 @@ _Give = Callable[[_Views], Any]
 
 @lru_cache(maxsize=256)
 def _read_text(text: bytes) -> tuple[_Give, int]:
-    """Return what makes the value of a text from its body, and the size of that body [byte]."""
+    """Return the function that builds the value of a text from its body, and the size of the body [byte]."""
     reader = _TextReader()
     give = reader.read(json.loads(text))
     return give, reader.place
 
 
 class _TextReader:
-    """Goes through a text and gives every array its place in the body."""
+    """Parser of a text that assigns a place in the body to every array."""
 
     def __init__(self) -> None:
         self.place = 0
 
     def read(self, tree: Any) -> _Give:
-        """Return what gives the value of a part of the text."""
+        """Return the function that builds the value of a part of the text."""
         if type(tree) is not list:
             return lambda views: tree
         mark, *content = tree

@@ -94,7 +94,7 @@ def _score_log(path: Path, run: RunResult, label: str, t_0: float, longest: floa
 def _make_score(
     label: str, solution: NavSolution, known: Known, run: RunResult, rows: int, **facts: Any
 ) -> Score:
-    """Return the verdict of a solution; with a truth also for which convention it may be mistaken."""
+    """Return the verdict of a solution, and with a truth also the convention that may be mistaken."""
     blocks = (solution.lla, solution.vel_n, solution.q_nb)
     empty = np.all([np.isnan(block).all(axis=1) for block in blocks], axis=0)
     coverage = float(np.mean(np.isfinite(solution.t) & ~empty))

@@ -81,7 +81,7 @@ def write_sensors(root: Path, sensors: SensorData, initial: InitialState) -> Pat
 
 
 def share_equal_files(root: Path) -> None:
-    """Let equal files below a folder be one on the disk: flights that differ in their faults share much."""
+    """Link equal files below a folder to one file on the disk; flights with other faults share much data."""
     first: dict[bytes, Path] = {}
     for path in sorted(path for path in root.rglob("*") if path.is_file()):
         with path.open("rb") as file:
@@ -100,7 +100,7 @@ def _link(path: Path) -> Path:
 
 
 def round_increments(imu: ImuData) -> ImuData:
-    """Return the data of an IMU with increments of as few digits as its noise leaves meaning.
+    """Return the data of an IMU with increments rounded to the digits that its noise justifies.
 
     The noise of a sample is told by the second differences of neighbors; a unit without noise keeps all.
     """
@@ -115,7 +115,7 @@ def round_increments(imu: ImuData) -> ImuData:
 
 
 def name_draw(sensors: SensorData, initial: InitialState) -> str:
-    """Return the name of a set of sensor data and its start: a digest of figures of both."""
+    """Return the name of a set of sensor data and its initial state: a digest of values of both."""
     imu, fixes = sensors.imu, sensors.fixes
     good = imu.valid
     figures = [len(imu.t), *np.std(imu.dtheta_b[good], axis=0), *np.std(imu.dvel_b[good], axis=0)]
@@ -129,7 +129,7 @@ def name_draw(sensors: SensorData, initial: InitialState) -> str:
 
 
 class FolderEstimator:
-    """A filter that returns the solution of the sensor data it gets, out of a folder of many.
+    """Filter that returns the solution for its sensor data from a folder of many solutions.
 
     Parameters
     ----------

@@ -78,7 +78,7 @@ class _WithoutPandas:
 
 
 def leave_out_pandas() -> None:
-    """Keep pyarrow from importing pandas to check every array for a pandas type: a tenth of a run.
+    """Keep pyarrow from importing pandas for type checks, which would take a tenth of a run.
 
     For a process of the command line alone, because pyarrow checks once: then it takes a Series for a plain
     sequence, until its own conversion to pandas is called. Without effect once pandas is imported.

@@ -1,4 +1,4 @@
-"""The size of the truth cache: what was not read for longest goes first, and nothing that is being read."""
+"""Size limit of the truth cache: the least recently read truths go first, never one that is being read."""
 
 from __future__ import annotations
 

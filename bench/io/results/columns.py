@@ -94,6 +94,6 @@ def solution_layout(extra_names: Sequence[str]) -> Layout:
 
 
 def _rename_columns(column: Column, names: Sequence[str], with_unit: Sequence[str]) -> Column:
-    """Return a column under new names; its units are those that the names in ``with_unit`` end in."""
+    """Return a column under new names; names in ``with_unit`` end in their unit."""
     units = tuple(unit_of(name) or "1" for name in with_unit)
     return replace(column, names=tuple(names), units=units, shape=(len(names),))

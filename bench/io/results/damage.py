@@ -69,7 +69,7 @@ _KINDS = {
 
 
 def _find_wrong_entries(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    """Yield the entries of ``result.json`` that are of another type, and what they must be."""
+    """Yield the entries of ``result.json`` with a wrong type, and the type expected."""
     from bench.evaluation.metrics.run_metrics import find_metric  # not before there is one to check
 
     profile, metrics = summary["profile"], summary["metrics"]
@@ -121,7 +121,7 @@ def open_summary(folder: Path, name: str, what: str) -> Iterator[dict[str, Any]]
 
 @contextlib.contextmanager
 def report_damage(folder: Path) -> Iterator[None]:
-    """Convert what reading a damaged results folder raises to a ConfigError of one line."""
+    """Convert exceptions from reading a damaged results folder to a ConfigError of one line."""
     try:
         yield
     except BenchError:

@@ -1,4 +1,4 @@
-"""A file with the state of a filter that runs in pieces: numbers as they are, no code, a sum over all."""
+"""File with the state of a filter that runs in pieces: exact numbers, no code, a checksum."""
 
 from __future__ import annotations
 
@@ -155,7 +155,7 @@ def read_filter(path: str | os.PathLike[str], *, allow_code: bool = False) -> Pi
 
 
 def _read_arrays(path: Path) -> dict[str, Any]:
-    """Read the arrays of a file; what is packed may be any size, and bench packs nothing."""
+    """Read the arrays of a file; reject compressed arrays, which bench never writes."""
     with zipfile.ZipFile(path) as archive:
         if any(one.compress_type != zipfile.ZIP_STORED for one in archive.infolist()):
             raise ValueError("it is compressed")
@@ -164,7 +164,7 @@ def _read_arrays(path: Path) -> dict[str, Any]:
 
 
 def _take_arrays(value: Any, name: str, arrays: dict[str, Any]) -> Any:
-    """Return a value with its arrays put aside and named instead."""
+    """Return a value with its arrays replaced by names, and store the arrays separately."""
     if isinstance(value, np.ndarray):
         arrays[name] = value
         return {"array": name}
@@ -176,7 +176,7 @@ def _take_arrays(value: Any, name: str, arrays: dict[str, Any]) -> Any:
 
 
 def _give_arrays(value: Any, arrays: dict[str, Any]) -> Any:
-    """Undo :func:`_take_arrays`; each array is taken out once."""
+    """Undo :func:`_take_arrays`; each array is used exactly once."""
     if isinstance(value, Mapping):
         if value.keys() == {"array"}:
             if value["array"] not in arrays:

@@ -1,4 +1,4 @@
-"""Folders that bench writes: they bear its mark, and only such a folder is replaced, on request."""
+"""Folders that bench writes: they have a mark file, and only marked folders are replaced, on request."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ def _list_names(folder: Path) -> list[str]:
 
 
 def add_to_mark(folder: Path, name: str) -> None:
-    """Say in the mark of a folder that bench wrote one more file into it; nothing if it has no mark."""
+    """Add a file to the mark of a folder as written by bench; do nothing if the folder has no mark."""
     try:
         mark = json.loads((folder / MARK).read_text(encoding="utf-8"))
         mark["files"] = sorted({*mark["files"], name})
@@ -112,7 +112,7 @@ def add_to_mark(folder: Path, name: str) -> None:
 
 @contextlib.contextmanager
 def make_folder(folder: Path, *, force: bool = False, kind: str = RESULTS) -> Iterator[Path]:
-    """Provide a temporary folder beside the wanted one; marked, it gets the name if everything succeeds.
+    """Provide a temporary folder that is marked and renamed to the requested name if everything succeeds.
 
     After an exception, Ctrl-C included, it is removed, and what was under the name is still there; after
     ``kill -9`` the next run does the same.

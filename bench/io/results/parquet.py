@@ -24,7 +24,7 @@ GROUP = 1 << 21  # values of a table that are written and read at a time
 
 
 def damages() -> tuple[type[Exception], ...]:
-    """Return what reading raises if a file is damaged or was not written by bench."""
+    """Return the exceptions of reading a file that is damaged or was not written by bench."""
     from pyarrow import ArrowException
 
     return (
@@ -62,7 +62,7 @@ def write(path: Path, record: object, layout: Layout | None = None, **facts: Any
 
 
 def _cut_tables(record: object, columns: Layout, facts: Mapping[str, Any]) -> Iterator[pa.Table]:
-    """Yield a record as tables of a few MB that follow on each other: one at least."""
+    """Yield a record as successive tables of a few MB, at least one."""
     count = len(getattr(record, next(iter(columns))))
     step = max(1, GROUP // max(1, sum(len(one.names) for one in columns.values())))
     for first in range(0, max(count, 1), step):
@@ -132,7 +132,7 @@ def to_table(record: object, layout: Layout, facts: Mapping[str, Any]) -> pa.Tab
 
 
 def _to_arrow(data: Any) -> pa.Array:
-    """Return an array or words as an Arrow array; ``pa.array`` imports pandas where there is one."""
+    """Return an array or words as an Arrow array without ``pa.array``, which imports pandas."""
     import pyarrow as pa
 
     if isinstance(data, tuple):
@@ -150,7 +150,7 @@ _NUMBERS = {"double": np.float64, "int64": np.int64, "bool": np.bool_}
 
 
 def _to_numpy(column: pa.ChunkedArray) -> Any:
-    """Return a column of a table as an array; its own ``to_numpy`` imports pandas where there is one."""
+    """Return a column of a table as an array without its ``to_numpy``, which imports pandas."""
     kind = _NUMBERS.get(str(column.type))
     if column.null_count or kind is None:
         return column.to_numpy()

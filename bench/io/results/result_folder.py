@@ -118,7 +118,7 @@ def list_aiding(data: SensorData) -> dict[str, Any]:
 
 
 def describe_record(record: object, data: SensorData) -> dict[str, Any]:
-    """Return the facts that the file of a record contains beside its columns."""
+    """Return the facts to store in the file of a record beside its columns."""
     if isinstance(record, GnssObservations):
         return {
             "bands": record.pseudorange.shape[1],

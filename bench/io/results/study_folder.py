@@ -1,4 +1,4 @@
-"""The folder of a study: tables, figures as numbers, and what was found in words."""
+"""The folder of a study: tables, data of the figures, and the answer in sentences."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ def write_study(folder: Path, result: StudyResult, *, force: bool = False) -> No
 
 
 def describe_study(result: StudyResult) -> dict[str, Any]:
-    """Return what a study found, in words and tables, for JSON."""
+    """Return the answer of a study, in sentences and tables, for JSON."""
     tables = {
         name: {"title": table.title, "units": table.units, "columns": table.columns}
         for name, table in result.tables.items()

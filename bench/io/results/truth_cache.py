@@ -72,7 +72,7 @@ LOOP_SOURCES = (
 
 
 def cached_truth(spec: Flight, fly: Callable[[], Iterable[Trajectory]]) -> Trajectory:
-    """Return the truth of a flight from the cache; fly and store it first if it is not there.
+    """Return the truth of a flight from the cache; if it is missing, fly and store it first.
 
     Parameters
     ----------

@@ -1,1 +1,1 @@
-"""Trajectories and tracks of others, read as truth."""
+"""Foreign trajectories and tracks, read as truth."""

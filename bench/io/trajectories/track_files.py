@@ -1,4 +1,4 @@
-"""Read positions over time from GPX, KML, NMEA, IGC and tables: what people have of a ride or a flight.
+"""Read positions over time from GPX, KML, NMEA, IGC files and tables.
 
 What a file does not say is a remark: of which height it speaks, which fixes are left out. GPX and KML are
 read with the same care as a model of an aircraft; nothing in a file is followed or executed.
@@ -103,7 +103,7 @@ def _strip(element: ElementTree.Element) -> str:
 
 
 def _parse_time(text: str | None) -> float:
-    """Return seconds of 1970 of an ISO time; NaN if it is none."""
+    """Return the seconds since 1970 of an ISO time; NaN if the text is no ISO time."""
     try:
         at = datetime.fromisoformat((text or "").strip())
     except ValueError:
@@ -119,7 +119,7 @@ def _parse_number(text: str | None) -> float:
 
 
 def _read_gpx(path: Path, notes: list[str]) -> Iterator[Fix]:
-    """GPX 1.1: trkpt with lat, lon, ele, time."""
+    """Read GPX 1.1: trkpt with lat, lon, ele, time."""
     root, timed = read_xml(path, path.name), False
     notes.append("heights are taken as ellipsoidal; GPX does not define them")
     for point in root.iter():
@@ -135,7 +135,7 @@ def _read_gpx(path: Path, notes: list[str]) -> Iterator[Fix]:
 
 
 def _read_kml(path: Path, notes: list[str]) -> Iterator[Fix]:
-    """KML with gx:Track: a <when> and a <gx:coord> for each fix; a LineString has no times."""
+    """Read KML with gx:Track: a <when> and a <gx:coord> for each fix; a LineString has no times."""
     root, found = read_xml(path, path.name), False
     notes.append("heights are taken as ellipsoidal; KML has them above the sea")
     for track in root.iter():
@@ -162,7 +162,7 @@ def _read_lines(path: Path) -> Iterator[str]:
 
 
 def _read_nmea(path: Path, notes: list[str]) -> Iterator[Fix]:
-    """NMEA 0183: GGA for time, place and height, with geoid separation; quality 0 is no fix.
+    """Read NMEA 0183: GGA for time, position and height with geoid separation; quality 0 means no fix.
 
     A clock that goes back by more than half a day has passed midnight.
     """
@@ -203,7 +203,7 @@ def _read_nmea(path: Path, notes: list[str]) -> Iterator[Fix]:
 
 
 def _parse_degrees(text: str, side: str) -> float:
-    """Return degrees of ddmm.mmmm and N, S, E or W."""
+    """Return the degrees of ddmm.mmmm with N, S, E or W."""
     value = _parse_number(text)
     if side not in ("N", "S", "E", "W"):
         return math.nan
@@ -211,7 +211,7 @@ def _parse_degrees(text: str, side: str) -> float:
 
 
 def _read_igc(path: Path, notes: list[str]) -> Iterator[Fix]:
-    """IGC flight recorder: B records, time and place in fixed columns (FAI technical specification, A4.1).
+    """Read IGC: B records with time and position in fixed columns (FAI technical specification, A4.1).
 
     The height of the GNSS is above the ellipsoid; without it, that of the pressure, above 1013.25 hPa.
     """

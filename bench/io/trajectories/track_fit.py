@@ -28,7 +28,7 @@ _PROBES = 16  # random vectors that estimate a trace (Hutchinson)
 
 @dataclass(frozen=True, slots=True)
 class TrackFit:
-    """A spline of some axes that share noise."""
+    """A spline of some axes with common noise."""
 
     spline: Any  # t -> (T, k)
     left: FloatArray  # (N, k) fixes less spline [m]
@@ -87,7 +87,7 @@ def fit_track(t: FloatArray, fixes: FloatArray, weights: FloatArray, noise: floa
 
 
 def _place_knots(t: FloatArray) -> FloatArray:
-    """A knot at each fix, at most 2 per second; none in a gap, which the penalty fills."""
+    """Return the knots: one at each fix, at most 2 per second, none in gaps, which the penalty fills."""
     inner, last = [], float(t[0])
     for now in t[1:-1].tolist():
         if now - last >= (1 - 1e-6) / _KNOT_RATE:
@@ -127,7 +127,7 @@ def _to_banded(matrix: Any) -> FloatArray:
 
 
 def find_least(f: Any, low: float, high: float) -> float:
-    """Return where f is least: the best of a grid, then golden section about it."""
+    """Return the argument of the minimum of f: the best of a grid, then a golden-section search around it."""
     grid = np.linspace(low, high, 13)
     values = [f(x) for x in grid]
     k = int(np.argmin(values))

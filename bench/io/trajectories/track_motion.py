@@ -1,4 +1,4 @@
-"""Make the motion of a vehicle of a track of positions.
+"""Motion of a vehicle from a track of positions.
 
 The fixes are smoothed (`trajectories.track_fit`) and an attitude is added that a track does not have: an
 aircraft turns without sideslip and without side force, at an angle of incidence that is told; a ground
@@ -102,7 +102,7 @@ def make_motion(track: FixSeries, spec: TrackSpec, shown: str) -> TableMotion:
 
 
 def doubt_degrees(lla: FloatArray) -> list[str]:
-    """Return a remark where latitudes and longitudes [rad] as written in degrees may have been radians.
+    """Return a remark if latitudes and longitudes [rad] that were read as degrees may have been radians.
 
     Those within 90 and 180 deg then all lie in an open sea around 0, 0.
     """
@@ -137,7 +137,7 @@ def choose_piece(
 def _smooth(
     t: FloatArray, fixes: FloatArray, spec: TrackSpec, notes: list[str], shown: str, jump: str
 ) -> tuple[TrackFit, TrackFit]:
-    """Fit north and east together, and down; without outliers, and at rest during standstills."""
+    """Fit splines to north and east together and to down, without outliers and with zero motion at rest."""
     used = ~find_lone(t, fixes)
     weights, target = np.ones(len(t)), fixes.copy()
 
@@ -192,7 +192,7 @@ def find_standing(t: FloatArray, speed: FloatArray) -> list[slice]:
 
 
 def _blur(t: FloatArray, fixes: FloatArray, level: TrackFit) -> float:
-    """Return how much of the estimated noise are turns that the fixes do not resolve [m].
+    """Return the part of the estimated noise that is due to turns which the fixes do not resolve [m].
 
     Noise stays what it is when every second fix is left out; turns between fixes grow with the square of the
     interval, at least.
@@ -205,7 +205,7 @@ def _blur(t: FloatArray, fixes: FloatArray, level: TrackFit) -> float:
 
 
 def _speeds(t: FloatArray, fixes: FloatArray, skip: int = 1) -> FloatArray:
-    """Return the speeds between each fix and that ``skip`` fixes later [m/s]."""
+    """Return the speeds between each fix and the fix ``skip`` rows later [m/s]."""
     return np.asarray(np.linalg.norm(fixes[skip:] - fixes[:-skip], axis=1) / (t[skip:] - t[:-skip]))
 
 
@@ -222,7 +222,7 @@ def find_lone(t: FloatArray, fixes: FloatArray) -> BoolArray:
 
 
 def find_jump(t: FloatArray, fixes: FloatArray) -> str:
-    """Return the end of a message that names the fastest step between fixes, if no other is like it."""
+    """Return a text that names the fastest step between fixes, if it is exceptional."""
     steps = _speeds(t, fixes)
     k = int(np.argmax(steps))
     if steps[k] < _JUMP * np.percentile(steps, 90):
@@ -233,7 +233,7 @@ def find_jump(t: FloatArray, fixes: FloatArray) -> str:
 def _check_resolved(
     t: FloatArray, level: TrackFit, blurred: float, spec: TrackSpec, shown: str, jump: str
 ) -> None:
-    """Reject fixes that do not predict each other, and noise estimated of turns."""
+    """Reject fixes that do not resolve the motion, and estimated noise that is due to turns."""
     lost = ""
     if level.missed > max(_MISSED, _MISSED_NOISE * (spec.noise or 0.0)):
         lost = f"one that is left out is missed by {level.missed:.3g} m"
@@ -246,7 +246,7 @@ def _check_resolved(
 
 
 def coordinate(air_n: FloatArray, force_n: FloatArray, incidence: float) -> FloatArray:
-    """Return C_nb (T, 3, 3): x along the path through the air, turned up by the incidence; no side force."""
+    """Return C_nb (T, 3, 3) without side force: x along the air path, pitched up by the incidence."""
     along = fill_slow(air_n)
     x = along / np.linalg.norm(along, axis=1, keepdims=True)
     down = -(force_n - (force_n * x).sum(axis=1, keepdims=True) * x)
@@ -290,7 +290,7 @@ def _report(
     shown: str,
     jump: str,
 ) -> None:
-    """Report the changes and the extremes; reject what no vehicle does."""
+    """Report the changes and the extreme values; reject motions that no vehicle can make."""
     rms = [math.sqrt(float((fit.left**2).sum(axis=1).mean())) for fit in (level, height)]
     told = ["told" if given is not None else "estimated" for given in (spec.noise, spec.vertical_noise)]
     notes.append(

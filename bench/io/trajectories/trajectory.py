@@ -140,7 +140,7 @@ def read_trajectory(spec: TableSpec) -> Iterator[Trajectory]:
 
 
 def _read_motion(spec: TableSpec) -> TableMotion:
-    """Return the motion of a table, or of a track made into one."""
+    """Return the motion of a table, or of a track."""
     shown, track = spec.path.name, spec.track or TrackSpec()
     if spec.path.suffix.lower() in READERS:
         return make_motion(read_track(spec.path), track, shown)
@@ -251,7 +251,7 @@ def _read_attitudes(
 
 
 def _doubt_headings(name: str, headings: FloatArray, path_n: FloatArray) -> str:
-    """Return a remark where headings (N,) [deg] are along the path from row to row in radians only."""
+    """Return a remark if headings (N,) [deg] follow the path between rows only when read as radians."""
     if np.abs(headings).max() > 2 * math.pi + 1e-6:
         return ""
     course, way = np.arctan2(path_n[:, 1], path_n[:, 0]), np.hypot(path_n[:, 0], path_n[:, 1]) + 1e-9

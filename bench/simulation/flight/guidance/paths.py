@@ -55,8 +55,7 @@ class Segment:
         )
 
     def relative(self, point: Point) -> tuple[float, float, float]:
-        """Return the position of a point: along the segment and to its right [m], and the course there
-        [rad]."""
+        """Return the position of a point along the segment and to its right [m], and the course [rad]."""
         north, east = point[0] - self.start[0], point[1] - self.start[1]
         c, s = math.cos(self.course), math.sin(self.course)
         ahead, right = north * c + east * s, east * c - north * s

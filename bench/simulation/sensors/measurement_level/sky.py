@@ -239,8 +239,7 @@ class SkyErrors:
         return out
 
     def _go_on(self, name: str, correlation: float, columns: int) -> tuple[int, int, FloatArray]:
-        """Continue unit Gauss-Markov processes; return epochs before epoch 0, epochs a step, values (B,
-        S)."""
+        """Continue unit Gauss-Markov processes; return epochs before 0, epochs per step, values (B, S)."""
         stride = max(1, int(correlation / 40.0 * self._rate))
         noise = self._draws.stream(name)
         kept: list[Any] = self._draws.keep(name, lambda: [0, noise.standard_normal((1, columns))], "knots")
