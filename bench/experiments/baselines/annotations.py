@@ -1,4 +1,4 @@
-"""Verdicts as annotations of a CI service, which it shows beside the change that made them."""
+"""Verdicts as annotations of a CI service, shown next to the code change."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _MOST = 10  # annotations of a kind that GitHub shows of a step
 def annotate(
     verdicts: Sequence[Verdict], directory: Path, environment: Mapping[str, str], *, strict: bool = False
 ) -> Iterator[str]:
-    """Yield lines for the log of GitHub Actions or Azure Pipelines; none elsewhere.
+    """Yield annotation lines for the log of GitHub Actions or Azure Pipelines; none on other services.
 
     A metric that is worse is an error, one that is undecided a warning, or an error if ``strict``. A flight
     that is another one is a warning. The file is the baseline. GitLab and Jenkins show the JUnit file.

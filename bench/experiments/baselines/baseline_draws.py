@@ -44,7 +44,7 @@ class EstimatorDraw:
 
 @dataclass(frozen=True, slots=True)
 class Draw:
-    """One run: the digest of its sensor data, and what each filter achieved."""
+    """One run: the digest of its sensor data, and the metrics of each filter."""
 
     sensors: str
     estimators: Mapping[str, EstimatorDraw]
@@ -63,17 +63,17 @@ class Experiment(Protocol):
 
     @property
     def draws(self) -> int | None:
-        """Number of runs there is, all from one computation; None: any."""
+        """Number of available runs, all from one computation; None: unlimited."""
 
     @property
     def truth_digest(self) -> str:
-        """Digest of the truth; empty if there is none."""
+        """Digest of the truth; empty without a truth."""
 
     def prepare(self) -> None:
-        """Make what all runs share."""
+        """Prepare the data that all runs share."""
 
     def measure(self, draw: int) -> Draw:
-        """Return what the filters achieve in a run; an error counts as a failure of all of them."""
+        """Return the metrics of the filters in a run; an error counts as a failure of all filters."""
 
 
 def lose_draw(experiment: Experiment, reason: str) -> Draw:
@@ -134,7 +134,7 @@ class FlightDraws:
         self._truth_key = pipeline.find_truth_key(self.profile)
 
     def prepare(self) -> None:
-        """Fly the truth into the cache, where the workers find it."""
+        """Fly the truth into the cache, from which the workers read it."""
         if not self.truth_digest:
             truth = pipeline.fly(self.profile)
             if self.profile.guidance is None:
@@ -274,7 +274,7 @@ def make_baseline(
     requested: Sequence[str] | None,
     overrides: Mapping[str, Any] | None = None,
 ) -> Baseline:
-    """Return the baseline of what was measured."""
+    """Return the baseline of the measured runs."""
     return Baseline(
         profile=experiment.source,
         requested=None if requested is None else tuple(requested),
@@ -290,7 +290,7 @@ def make_baseline(
 
 
 def join_draws(rows: Sequence[EstimatorDraw]) -> EstimatorValues:
-    """Return the values of a filter by metric, from those by draw."""
+    """Return the values of a filter by metric, from the values by run."""
     names = dict.fromkeys(name for row in rows for name in row.metrics)
     expected: dict[str, list[float]] = {}
     for row in rows:

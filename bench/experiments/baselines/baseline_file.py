@@ -76,7 +76,7 @@ def get_name(source: str) -> str:
 
 
 def is_same_source(one: str, other: str) -> bool:
-    """Return whether two names or paths of profiles mean the same one."""
+    """Return whether two names or paths mean the same profile."""
     paths = one.endswith(_PATH) and other.endswith(_PATH)
     return Path(one).resolve() == Path(other).resolve() if paths else one == other
 

@@ -1,4 +1,4 @@
-"""Record baselines, and check the code against them."""
+"""Record baselines, and check the code against the baselines."""
 
 from __future__ import annotations
 
@@ -181,7 +181,8 @@ def record_baselines(
 
 
 def _name_sources(given: Sequence[str], baselines: Mapping[str, Baseline]) -> dict[str, str]:
-    """Return profiles and logs by name, a bare name as its baseline source; ConfigError if names clash."""
+    """Return profiles and logs by name, with the source of the baseline for a bare name; check for
+    clashes."""
     named: dict[str, str] = {}
     for source in given:
         name = get_name(source)
@@ -244,7 +245,7 @@ def write_change(directory: Path, old: Baseline | None, new: Baseline, reason: s
 
 
 def _describe_rows(candidates: Sequence[UncorrectedVerdict], tolerance: float, most: int = 3) -> str:
-    """Return the numbers that moved beyond the tolerance, the largest changes first."""
+    """Return the values that changed by more than the tolerance, the largest changes first."""
     if not candidates:
         return "recorded again, no number moved"
     rows = [one.row for one in candidates if one.side]
@@ -369,7 +370,7 @@ def check(
 def _choose(
     baseline: Baseline, estimators: Sequence[str] | None, path: Path
 ) -> tuple[Baseline, Sequence[str] | None]:
-    """Return a baseline with only some of its filters, and what to request of the profile."""
+    """Return a baseline with only some of its filters, and the filters to request from the profile."""
     if estimators is None:
         return baseline, baseline.requested
     labels = list(baseline.estimators)

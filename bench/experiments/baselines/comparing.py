@@ -53,7 +53,7 @@ class Side:
 
 @dataclass(frozen=True)
 class Compared:
-    """The first folder beside another one: what differs, and a verdict on each metric of the other."""
+    """Comparison of the first folder with another: differences, and a verdict on each metric."""
 
     first: str
     other: str
@@ -189,13 +189,13 @@ _SENSED = ("sensors", "faults", "fault", "gnss_outage")
 
 
 def _take_sensed(document: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the parts of a profile that its sensor data depend on; what filters assume is none."""
+    """Return the parts of a profile on which its sensor data depend, without the assumed datasheets."""
     units = {key: value for key, value in (document.get("sensors") or {}).items() if key != "assumed"}
     return {key: document.get(key) or None for key in _SENSED} | {"sensors": units}
 
 
 def _describe_flight(document: Mapping[str, Any]) -> str:
-    """Return the part of a profile that the truth depends on, as text."""
+    """Return the part of a profile on which the truth depends, as text."""
     return results.to_json({key: value for key, value in document.items() if key not in _NOT_FLOWN})
 
 
@@ -228,7 +228,7 @@ def _make_draws(
 
 
 def compare_sides(first: Side, other: Side) -> Compared:
-    """Compare the runs of two sides, pair by pair where they share truth and noise."""
+    """Compare the runs of two sides, in pairs if truth and noise are the same."""
     pairs = [(name, name) for name in first.draws if name in other.draws]
     if not pairs and len(first.draws) == len(other.draws) == 1:
         pairs = [(next(iter(first.draws)), next(iter(other.draws)))]
@@ -272,7 +272,7 @@ def compare_sides(first: Side, other: Side) -> Compared:
 
 
 def _describe_lost(values: EstimatorValues) -> str:
-    """Return how many runs did not converge, and why the first did not; "" if all did."""
+    """Return the number of runs that did not converge, and the reason of the first; "" if all converged."""
     lost = [k for k, good in enumerate(values.converged) if not good]
     if not lost:
         return ""
@@ -283,7 +283,7 @@ def _describe_lost(values: EstimatorValues) -> str:
 
 
 def _match(first: Side, other: Side, one: str, two: str) -> tuple[Baseline, Baseline, dict[str, str]]:
-    """Return the runs to compare, and how the filters are named: the common runs, if there are any."""
+    """Return the runs to compare (the common runs, if any), and the names of the filters."""
     old, new = first.draws[one], other.draws[two]
     if _is_flown_differently(first, other, one, two):
         new = new.model_copy(update={"truth": "flown differently"})
@@ -312,7 +312,7 @@ def _is_flown_differently(first: Side, other: Side, one: str, two: str) -> bool:
 
 
 def _select(side: Baseline, keys: Sequence[str]) -> Baseline:
-    """Return only the draws with these keys."""
+    """Return a side with only the runs of these keys."""
     rows = [side.sensors.index(key) for key in keys]
     estimators = {
         label: values.model_copy(
@@ -358,7 +358,7 @@ def _describe(estimator: str, row: Verdict | None, first: str, other: str) -> st
 
 
 def _list_differences(first: Side, other: Side, one: str, two: str) -> list[str]:
-    """Return what differs between what was run, in words."""
+    """Return the differences between the inputs of both sides, in words."""
     old, new = first.draws[one], other.draws[two]
     found = [] if one == two else [f"profile: {one} and {two}"]
     if _is_flown_differently(first, other, one, two):

@@ -37,7 +37,7 @@ def write_junit(path: Path, verdicts: Sequence[Verdict], *, strict: bool = False
 
 
 def check_required(path: Path | None, required: object) -> None:
-    """Refuse to write a file of what is required where nothing is.
+    """Raise ConfigError if a requirements file is requested but there are no requirements.
 
     Raises
     ------

@@ -14,7 +14,7 @@ _HASHES = ("sha256", "sha512")
 
 
 def find_requirement(folder: Path = Path()) -> tuple[str, str]:
-    """Return what pip installs, and a remark where that is not all; each may be empty.
+    """Return the requirement for pip, and a remark if it is incomplete; each may be empty.
 
     It is read from what pip has noted of the installation (PEP 610). A commit counts if it lies in a
     repository with a remote; a wheel on this machine counts if it lies in ``folder``, that of the repository.

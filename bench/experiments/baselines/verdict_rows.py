@@ -87,7 +87,7 @@ class Verdict:
 
 
 def _format_percent(part: float) -> str:
-    """Return a part as percent; the interval of a few runs may end at a number with many digits."""
+    """Format a fraction in percent, also very large ends of an interval of few runs."""
     return f"{part:+.1%}" if part < 1e3 else f"{100.0 * part:+.2g}%"
 
 
@@ -127,7 +127,7 @@ def decide(candidates: Sequence[UncorrectedVerdict], error: float = ERROR / len(
 def compare(
     baseline: Baseline, measured: Baseline, name: str, *, numbered: bool = False, changed: bool = False
 ) -> list[UncorrectedVerdict]:
-    """Compare the first runs of a baseline with those measured, metric by metric.
+    """Compare the first runs of a baseline with the measured runs, metric by metric.
 
     Draws whose digests of truth and sensors agree are compared in pairs, if they are at least half of the
     runs measured. Others are pairs, too, if both are ``numbered`` from 0 with one seed on one truth: each
@@ -269,7 +269,7 @@ def _compare_metric(
 
 
 def _get_values(of: EstimatorValues, metric: str, which: np.ndarray) -> FloatArray:
-    """Return the values of a metric in some runs, NaN where there is none or the run did not converge."""
+    """Return the values of a metric in some runs; NaN without a value or if the run did not converge."""
     stored: Sequence[Value] = of.metrics.get(metric, (None,) * len(of.converged))
     known = find_metric(metric)
     absent = 0.0 if known is not None and known.direction == "zero" else np.nan
@@ -291,12 +291,12 @@ def _is_rms(metric: str) -> bool:
 
 
 def _pool(metric: str, values: FloatArray) -> float:
-    """Return a metric over all runs: of an RMSE the squares are averaged."""
+    """Return a metric pooled over all runs; the squares of an RMSE are averaged."""
     return float(np.sqrt(np.mean(values**2)) if _is_rms(metric) else values.mean())
 
 
 def _is_same(metric: str, before: FloatArray, after: FloatArray, epochs: int) -> bool:
-    """Return whether every run has the same value, but for the processor."""
+    """Return whether every run has the same value, apart from rounding on another processor."""
     size = np.maximum(np.abs(before), np.sqrt(np.mean(before**2)))
     allowed = SAME * size
     if _find_fraction(metric) is not None:
@@ -307,7 +307,7 @@ def _is_same(metric: str, before: FloatArray, after: FloatArray, epochs: int) ->
 def _measure_change(
     row: Verdict, before: FloatArray, after: FloatArray, expected: float | None, tolerance: float
 ) -> UncorrectedVerdict:
-    """Choose the scale on which a metric is compared, and measure its change there."""
+    """Choose the scale on which a metric is compared, and measure the change on this scale."""
     known = find_metric(row.metric)
     fraction = _find_fraction(row.metric)
     positive = bool((before > 0).all() and (after > 0).all())

@@ -1,4 +1,4 @@
-"""Apply a function to many items on the workers of a pool, and survive the workers it ends.
+"""Apply a function to many items on the workers of a pool, also if an item crashes its worker.
 
 Items travel in batches of a few seconds. If a worker ends, nobody knows which of the items under way ended
 it. So the batches that were under way run once more, each alone; the one that ends its worker again is
@@ -29,7 +29,7 @@ _AHEAD = 2  # batches given to each worker, so that it never waits for the next 
 
 @dataclass(frozen=True, slots=True)
 class Lost:
-    """Instead of a result: the item ended its worker each time."""
+    """Placeholder for the result of an item that crashed its worker each time."""
 
     reason: str
 
@@ -48,7 +48,7 @@ class Pool(Protocol):
         """Begin a call of a function in a worker."""
 
     def check(self) -> None:
-        """Raise an error if nothing can finish any more."""
+        """Raise an error if no call can finish any more."""
 
     def share(self, keys: Sequence[str]) -> None:
         """Let the workers find flown truths in the cache of their machine."""
@@ -126,13 +126,13 @@ def compute(
 
 
 class Pace:
-    """The size of the next batch, from how long items took."""
+    """The size of the next batch, from the durations of finished items."""
 
     def __init__(self) -> None:
         self._items, self._seconds = 0, 0.0
 
     def add(self, seconds: float) -> None:
-        """Take in the duration of an item [s]."""
+        """Add the duration of an item [s]."""
         self._items += 1
         self._seconds += seconds
 

@@ -1,4 +1,4 @@
-"""CAMPAIGN.toml: profiles, filters and values to vary, every combination a condition of one campaign."""
+"""CAMPAIGN.toml: profiles, filters and values to vary; every combination is a condition of the campaign."""
 
 from __future__ import annotations
 
@@ -117,7 +117,7 @@ def read_campaign_file(source: str, *, allow_code: bool = False) -> CampaignSpec
 
 
 def _locate(profile: str, beside: Path) -> str:
-    """Return a profile of a campaign file as the command line in the present folder names it."""
+    """Return the name or path of a profile of a campaign file relative to the current folder."""
     return os.path.relpath(beside / profile) if profile.endswith(".toml") else profile
 
 

@@ -53,7 +53,7 @@ def write_runs(path: Path, plan: Plan, done: Done) -> None:
 
 
 def write_epochs(path: Path, plan: Plan, parts: Sequence[Mapping[str, Any]]) -> None:
-    """Write what :func:`describe_instants` returns of each group."""
+    """Write the statistics of :func:`describe_instants` for each group."""
     names = dict.fromkeys(name for part in parts for name in part)
     columns: dict[str, Any] = {}
     for name in names:
@@ -97,7 +97,7 @@ def _find_units(plan: Plan) -> dict[str, str]:
 
 
 def unite(column: list[Any]) -> list[Any]:
-    """Return a column of one type: numbers beside texts become texts."""
+    """Return a column of one type; if it contains texts, numbers become texts."""
     if any(isinstance(value, str) for value in column):
         return [value if value is None or isinstance(value, str) else str(value) for value in column]
     return column

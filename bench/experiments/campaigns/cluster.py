@@ -25,7 +25,7 @@ _KEPT = "what is finished is kept, --resume continues"
 
 
 class ClusterPool:
-    """The workers of a Dask scheduler. Leaving its context takes back what is under way.
+    """The workers of a Dask scheduler; leaving the context cancels pending calls.
 
     A task whose worker ended is tried by the scheduler on others, and then by the engine alone, so that those
     that were only beside it are not blamed.
@@ -104,7 +104,7 @@ class ClusterPool:
         return future
 
     def recover(self) -> tuple[str, bool]:
-        """Return how a worker ended; the scheduler goes on with the others, unless it has ended itself."""
+        """Return how a worker ended; the scheduler continues with the others, unless it has ended itself."""
         self._count_threads()
         return "its workers ended, each time it was tried", False
 
@@ -161,7 +161,7 @@ def _describe_worker() -> dict[str, str]:
 
 
 def call(software: dict[str, str], function: Callable[..., Any], *arguments: Any) -> Any:
-    """Call a function in a worker, which may have joined after the others were checked."""
+    """Call a function in a worker, and check its software, because it may have joined late."""
     if _describe_worker() != software:
         raise ConfigError(f"worker on {platform.node()}: its versions differ from the driver")
     _find_packages()
@@ -169,7 +169,7 @@ def call(software: dict[str, str], function: Callable[..., Any], *arguments: Any
 
 
 def _find_packages() -> None:
-    """Put the packages that were sent to this worker on its import path; modules are there already."""
+    """Add the packages that were sent to this worker to its import path, which already has the modules."""
     from distributed import get_worker
 
     for packed in sorted(Path(get_worker().local_directory).glob("*.zip")):

@@ -51,7 +51,7 @@ class Group:
         return np.array([one["converged"] for one in self.metrics], np.bool_)
 
     def channel(self, name: str, begin: float) -> FloatArray:
-        """Return a channel (G, K) of the G runs that converged, from a time on, where all have values."""
+        """Return a channel (G, K) of the G converged runs from a time on, where all have values."""
         column = self.kept[self.converged][:, :, list(CHANNELS).index(name)]
         column = np.asarray(column[:, self.kept_t >= begin], np.float64)
         late = np.isfinite(column).all(axis=0)
@@ -130,7 +130,7 @@ def describe(values: FloatArray, converged: BoolArray) -> tuple[FloatArray, Floa
 
 
 def find_percentiles(values: FloatArray) -> FloatArray:
-    """Return `PERCENTILES` (P, M, C) over runs (R, M, C); values that only some runs have are slow."""
+    """Return `PERCENTILES` (P, M, C) over runs (R, M, C); fast if all runs have a value."""
     unknown = np.isnan(values).sum(axis=0)
     found = np.full((len(PERCENTILES), *values.shape[1:]), np.nan)
     for columns, percentile in (

@@ -12,7 +12,7 @@ _KEPT = 128 << 20  # at the end of the heap, unused [byte]
 
 @cache
 def keep_freed_memory() -> bool:
-    """Have this process keep freed memory, and return whether it does.
+    """Make this process keep freed memory, and return whether this is possible.
 
     The runs of a campaign take the same arrays again and again. Given back to the system and taken again,
     their pages cost a twentieth of a run. Only the allocator of glibc is asked.

@@ -75,7 +75,7 @@ class _Finished(_JournalRow):
 
 
 class Journal:
-    """The finished runs of a campaign by key; the rows stay on disk. Leaving its context closes it.
+    """The finished runs of a campaign by key, with the rows on disk; leaving the context closes the file.
 
     If a run has several lines, the last one counts.
     """
@@ -105,7 +105,7 @@ class Journal:
         os.close(self._descriptor)
 
     def find_labels(self) -> tuple[str, ...]:
-        """Return the filters of its first run that did not fail as a whole."""
+        """Return the filters of the first run that did not fail completely."""
         rows = (self[key] for key in self._places)
         return next((tuple(row["estimators"]) for row in rows if "estimators" in row), ())
 

@@ -1,4 +1,4 @@
-"""Several campaigns in one, for the report of a comparison."""
+"""Merge several campaigns into one, for the report of a comparison."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ def _number_conditions(campaign: Campaign) -> dict[str, int]:
 
 
 def _join(tables: Mapping[str, Any], places: Mapping[str, Mapping[int, int]]) -> Any:
-    """Return the rows of all tables of the conditions that are kept; filters get the name of the table."""
+    """Return the rows of all tables for the kept conditions; filters get the name of their table."""
     columns: dict[str, list[Any]] = {}
     for name, table in tables.items():
         rows = table.to_pydict()

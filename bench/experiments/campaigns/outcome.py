@@ -47,7 +47,7 @@ class Outcome:
         return round(self.runs * self.converged.value)
 
     def show(self, name: str, digits: int = 4) -> ShownFigure | None:
-        """Return an error, or what `RATIO` names, with its interval; None if there is none."""
+        """Return an error, or the ratio `RATIO`, with its interval; None without a value."""
         one, found = self.consistency, self.errors.get(name)
         if name == RATIO:
             found = Estimate(one.ratio, one.low, one.high) if one else None
@@ -71,7 +71,7 @@ class Outcome:
 
 
 def tabulate(outcomes: Sequence[Outcome], names: Mapping[str, str], title: str = "") -> FindingTable:
-    """Return a row for each condition and filter; ``names`` are the metrics of columns by their names."""
+    """Return a row for each condition and filter; ``names`` maps column names to metrics."""
     columns: dict[str, list[Any]] = {
         "condition": [one.condition for one in outcomes],
         "estimator": [one.label for one in outcomes],
@@ -123,7 +123,7 @@ class Pair:
 
 
 def pair_runs(groups: Sequence[Group], metric: str = "pos_rmse_h_m") -> list[Pair]:
-    """Return the first of the groups of a condition beside each other one."""
+    """Return pairs of the first group of a condition with each other group."""
     found = []
     for other in groups[1:]:
         both = groups[0].converged & other.converged
@@ -286,7 +286,7 @@ class Campaign:
         return "\n".join([f"<Campaign: {self.finished} of {self.planned} runs>", *self.sentences])
 
     def _repr_html_(self) -> str:
-        """Return the sentences, and a table of the figures with their intervals."""
+        """Return the sentences, and a table of the values with their intervals."""
         names = dict.fromkeys(name for one in self.outcomes for name in one.errors)
         table = tabulate(self.outcomes, {name: name for name in names})
         caption = f"{self.finished} of {self.planned} runs"

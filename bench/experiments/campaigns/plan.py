@@ -44,7 +44,7 @@ class Condition:
 
     @property
     def name(self) -> str:
-        """The profile and the values, in a line."""
+        """The profile and the varied values in one line."""
         return ", ".join([self.source, *(f"{key} = {_shorten(value)}" for key, value in self.values.items())])
 
 
@@ -58,12 +58,12 @@ class Cell:
 
     @cached_property
     def truth_key(self) -> str:
-        """Hash of all that the truth depends on."""
+        """Hash of all inputs of the truth."""
         return pipeline.find_truth_key(self.profile)
 
     @cached_property
     def key(self) -> str:
-        """Hash of all that the results of a run depend on, besides its number."""
+        """Hash of all inputs of the results of a run, apart from its number."""
         profile = self.profile
         parts = {
             "truth": self.truth_key,
@@ -201,7 +201,7 @@ def _make_cell(
 
 
 def name_limits(guard: Guard) -> list[str]:
-    """Return the options of the command line that give a guard."""
+    """Return the command-line options for the limits of a guard."""
     limits = {"--timeout": guard.timeout, "--memory": guard.memory, "--output": guard.output}
     factors = {"--timeout": 1.0, "--memory": 1e-9, "--output": 1e-6}
     given = {name: value for name, value in limits.items() if value not in (None, DEFAULT_GUARD.output)}
@@ -214,13 +214,13 @@ def _shorten(value: Any) -> str:
 
 
 def _describe_estimator(choice: EstimatorChoice) -> dict[str, Any]:
-    """Return what the results of a filter depend on; the sources of bench are counted elsewhere."""
+    """Return the inputs on which the results of a filter depend, apart from the sources of bench."""
     plain = dataclasses.asdict(choice) | {"beside": ""}
     return plain | {"source": [_hash_file(path) for path in find_sources(choice)]}
 
 
 def hash_estimator(plan: Plan, label: str) -> str:
-    """Return a hash of the sources, or of the program, of a filter of a plan, and of its options."""
+    """Return a hash of the options and of the sources, or the program, of a filter of a plan."""
     (choice,) = (one for one in plan.cells[0].profile.estimators if one.label == label)
     own = {**_describe_estimator(choice), "guard": "", "package": _hash_package()}
     return hashlib.sha256(json.dumps(own, sort_keys=True, default=str).encode()).hexdigest()[:16]
@@ -244,7 +244,7 @@ def find_sources(choice: EstimatorChoice) -> list[Path]:
 
 
 def find_named_files(sources: Sequence[Path]) -> list[Path]:
-    """Return the files beside some sources that their texts name: the program that a wrapper calls.
+    """Return the files next to some sources that the sources name, such as a program that a wrapper calls.
 
     And those that these name. What a wrapper finds by the PATH, or puts together, is not seen.
     """
@@ -283,7 +283,7 @@ def find_module_files(use: str) -> list[Path]:
 
 @cache
 def describe_software() -> dict[str, str]:
-    """Return the versions that results depend on, and a hash of the sources of bench."""
+    """Return the versions on which results depend, and a hash of the sources of bench."""
     return {**results.list_versions(), "source": _hash_package()}
 
 

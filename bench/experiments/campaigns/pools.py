@@ -38,10 +38,10 @@ class _LocalPool:
 
 
 class SerialExecutor(Executor):
-    """Calls at once, in this process."""
+    """Executor that calls functions immediately, in this process."""
 
     def submit(self, function: Callable[..., Any], /, *arguments: Any, **options: Any) -> Future[Any]:
-        """Call a function and return its result, or what it raised."""
+        """Call a function and return its result or its exception."""
         future: Future[Any] = Future()
         try:
             future.set_result(function(*arguments, **options))
@@ -70,12 +70,12 @@ class ExecutorPool(_LocalPool):
         return self._executor.submit(function, *arguments)
 
     def recover(self) -> tuple[str, bool]:
-        """Not called: what ends a worker ends the work."""
+        """Do nothing; never called, because the end of a worker ends the whole work."""
         raise NotImplementedError
 
 
 class ProcessPool(_LocalPool):
-    """Processes on this machine that apply functions. Leaving its context ends them.
+    """Processes on this machine that apply functions; leaving the context ends the processes.
 
     Each has one thread of linear algebra. Ctrl-C does not reach them; they end with the driver. They are
     spawned and import what they need: nothing is inherited but the environment and the import path. A script
@@ -139,7 +139,7 @@ class ProcessPool(_LocalPool):
 
 
 def open_pool(jobs: int) -> ProcessPool | ExecutorPool:
-    """Return processes on this machine; if ``jobs`` is 1, this process itself."""
+    """Return a pool of processes on this machine; if ``jobs`` is 1, this process itself."""
     return ProcessPool(jobs) if jobs > 1 else ExecutorPool(SerialExecutor(), 1)
 
 
@@ -158,7 +158,7 @@ def _describe_end(code: int | None) -> str:
 
 @contextlib.contextmanager
 def _quiet() -> Iterator[None]:
-    """Start processes that no interruption of the terminal reaches: the driver ends them."""
+    """Start processes that ignore interrupts from the terminal; the driver ends them."""
     if sys.platform == "win32":
         yield
         return
@@ -184,7 +184,7 @@ def _one_thread() -> Iterator[None]:
 
 
 def prepare_worker(path: Sequence[str]) -> None:
-    """Make a new worker ready: the import path of the driver, and an end with the driver."""
+    """Prepare a new worker: set the import path of the driver, and end the worker with the driver."""
     sys.path[:] = path
     keep_freed_memory()
     threading.Thread(target=_follow_parent, daemon=True).start()
@@ -198,7 +198,7 @@ def exit_on_signal(number: int, frame: object) -> None:
 
 
 def _follow_parent() -> None:
-    """End this process when the driver has ended, however that was."""
+    """End this process when the driver has ended in any way."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         connection.wait([parent.sentinel])

@@ -1,4 +1,4 @@
-"""Run a campaign: fly, let the workers run, keep a journal, and write the tables."""
+"""Run a campaign: fly the truths, start the workers, write the journal and the tables."""
 
 from __future__ import annotations
 
@@ -248,7 +248,7 @@ def choose_pool(
 
 
 def _work(plan: Plan, journal: Journal, pool: Pool, printed: Printed, progress: Progress) -> None:
-    """Execute the runs missing in the journal, write each finished run to it, and keep printed output."""
+    """Execute the runs that are missing in the journal; store each finished run and printed output."""
     todo: dict[int, list[PlannedRun]] = {}
     for planned in plan.runs:
         key = plan.run_key(planned)
@@ -287,7 +287,7 @@ def _work(plan: Plan, journal: Journal, pool: Pool, printed: Printed, progress: 
 
 
 def _fly(cells: Sequence[Cell], lengths: dict[str, float], pool: Pool) -> None:
-    """Fly into the cache what is not there, check the times of the profiles, and add the durations [s]."""
+    """Fly missing truths into the cache, check the times of the profiles, and add the durations [s]."""
     new = {cell.truth_key: cell for cell in cells if cell.truth_key not in lengths}
     profiles = [cell.profile for cell in new.values()]
     for k, length in enumerate(map(fly, profiles)) if pool.remote else compute(fly, profiles, pool):
@@ -301,7 +301,7 @@ def _fly(cells: Sequence[Cell], lengths: dict[str, float], pool: Pool) -> None:
 
 
 class RunCounter:
-    """Reports the progress of a campaign."""
+    """Progress report of a campaign."""
 
     def __init__(self, name: str, runs: int, known: int, progress: Progress) -> None:
         self._name, self._runs, self._known, self._progress = name, runs, known, progress
@@ -381,7 +381,7 @@ def _finish(
 
 
 def describe(campaign: Campaign) -> dict[str, Any]:
-    """Return the figures and sentences of a campaign, for JSON."""
+    """Return the values and sentences of a campaign, for JSON."""
     return {
         "planned": campaign.planned,
         "finished": campaign.finished,

@@ -1,4 +1,4 @@
-"""Read a finished campaign back."""
+"""Read a finished campaign from its folder."""
 
 from __future__ import annotations
 
@@ -202,7 +202,7 @@ def _make_estimate(row: _StoredEstimate) -> Estimate:
 
 
 def make_outcome(row: StoredOutcome) -> Outcome:
-    """Return an outcome as it was before it was written."""
+    """Return an outcome from its stored row."""
     found = None
     if row.consistency is not None:
         values = dict(row.consistency)

@@ -62,7 +62,7 @@ class RunTask:
 
 
 def measure(task: RunTask) -> dict[str, Any]:
-    """Run a task and return its row of the journal, and what filters ``printed``.
+    """Run a task and return its row of the journal, and the ``printed`` output of filters.
 
     A run that raises has only an ``error``.
     """
@@ -81,14 +81,14 @@ def measure(task: RunTask) -> dict[str, Any]:
 
 
 def shorten(text: str) -> str:
-    """Return begin and end of what a filter has printed in a run."""
+    """Return the beginning and the end of the printed output of a filter in a run."""
     short = Printed(_PRINTED, _PRINTED)
     short.add(text.encode())
     return short.text
 
 
 def describe_error(error: Exception) -> str:
-    """Return why a run has no result, in a line."""
+    """Return the reason why a run has no result, in one line."""
     return one_line(str(error) if isinstance(error, BenchError) else repr(error))[:500]
 
 
@@ -130,7 +130,7 @@ def _read_truth(flight: _Keyed) -> Trajectory:
 
 
 def _collect(result: RunResult, label: str, task: RunTask) -> dict[str, Any]:
-    """Return what is kept of a filter: its metrics, and its errors at some epochs."""
+    """Return the stored results of a filter: its metrics, and its errors at some epochs."""
     errors, solution = result.errors[label], result.solutions[label]
     begun = task.profile.evaluation.first
     nis = nis_by_sensor(solution.innovations, begun)

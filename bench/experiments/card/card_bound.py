@@ -24,7 +24,7 @@ _UNKNOWN = ("airspeed", "odometer", "radar")
 
 
 def bound_errors_of(profile: Profile) -> tuple[dict[str, float], str]:
-    """Return the least root mean square errors by topic [m, m/s, deg], or why there are none.
+    """Return the smallest possible RMS errors by topic [m, m/s, deg], or the reason why there are none.
 
     The covariance is that of the flight and its sensors, the same in every run. What the linear
     model lacks counts as known, since who knows more errs less: faults do not happen, a start is told, and an

@@ -1,4 +1,4 @@
-"""The line of a card with the time by which a filter looks ahead.
+"""The line of a card about the look-ahead of a filter.
 
 The test covers what the card evaluates: it repeats runs of the suite and compares their answers with those of
 the card. The choice of runs depends on all answers, so that a filter cannot know it in advance.
@@ -29,12 +29,12 @@ _OTHERS, _INSTANTS_THERE = 2, 2  # further flights, and their epochs
 
 
 def hash_all_answers(own: Rows) -> str:
-    """Return a hash of all that a filter answered, every bit."""
+    """Return a hash of all bits of the solutions of a filter."""
     return hashlib.sha256(" ".join(str(row.get("answers")) for row in own).encode()).hexdigest()[:16]
 
 
 def judge_causality(plan: Plan, suite: Suite, label: str, own: Sequence[Rows]) -> Line:
-    """Return how far a filter looks ahead, on the flight with late fixes and on randomly chosen flights.
+    """Return the look-ahead of a filter, on the flight with late fixes and on randomly chosen flights.
 
     Each run of a foreign filter class has its own process, so that data seen in another run cannot reveal the
     future of this run. ``own`` contains its rows of each flight.
@@ -80,7 +80,7 @@ def _make_line(flight: str, text: str, value: float | None = None, word: str = "
 def measure(
     profile: Profile, choice: EstimatorChoice, own: Rows, count: int, rng: np.random.Generator
 ) -> LookAhead:
-    """Return how far it looks ahead in a drawn run of a flight, which it has to answer as on the card."""
+    """Return the look-ahead in a random run of a flight; its solution must equal that on the card."""
     good = [k for k, row in enumerate(own) if row["converged"]] or list(range(len(own)))
     draw = int(rng.choice(good))
     truth = pipeline.fly(profile)

@@ -1,4 +1,4 @@
-"""Two cards of the same suite: where one filter is better, run by run."""
+"""Comparison of two cards of the same suite, run by run."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _POWER = 0.8
 
 @dataclass(frozen=True)
 class ComparedLine:
-    """A figure of two cards."""
+    """A score of two cards."""
 
     topic: str
     flight: str
@@ -92,7 +92,7 @@ def compare_cards(first: Card, second: Card, names: tuple[str, str] | None = Non
 
 
 def list_differences(first: Card, second: Card) -> list[str]:
-    """Return what differs besides the filters: versions of bench and its libraries."""
+    """Return the differences besides the filters: versions of bench and its libraries."""
     names = dict.fromkeys([*first.versions, *second.versions])
     return [
         f"{name} {first.versions.get(name, '-')} and {second.versions.get(name, '-')}"
@@ -102,13 +102,13 @@ def list_differences(first: Card, second: Card) -> list[str]:
 
 
 def are_same(one: Line, other: Line) -> bool:
-    """Return whether every run has the same value, but for the processor."""
+    """Return whether every run has the same value, apart from rounding on another processor."""
     a, b = (np.array(line.by_draw or (line.value,), float) for line in (one, other))  # None: NaN
     return a.shape == b.shape and bool(np.isclose(a, b, rtol=SAME, atol=0.0, equal_nan=True).all())
 
 
 def tell_values(one: Line, other: Line) -> str | None:
-    """Return the values of a figure that no test is made of."""
+    """Return the values of a score that is not tested."""
     if one.figure.startswith("median"):
         texts = ("never" if line.value is None else f"{line.value:.3g} s" for line in (one, other))
         return "heading found after {} and {}".format(*texts)
@@ -132,7 +132,7 @@ _Pair = tuple[Line, Line, FloatArray]
 
 
 def list_changes(one: Line, other: Line) -> FloatArray | None:
-    """Return by draw the log of the ratio of the first to the second; None if fewer than two runs have both.
+    """Return the log ratio of the first to the second card by run; None if fewer than two runs have both.
 
     Of NEES it is that of the factors between each run and its expectation. The factor of a mean over runs
     has no derivative where it is right, and a jackknife of it reports too much for two consistent filters.
@@ -161,7 +161,7 @@ def pool_flights(changes: FloatArray) -> Change:
 
 
 def judge_quantities(names: tuple[str, str], quantities: list[list[_Pair]]) -> list[ComparedLine]:
-    """Say of each quantity, pooled over its flights, which filter is better; then on which flights.
+    """Return the better filter for each quantity over all flights, then for single flights.
 
     Holm's method over the quantities keeps the probability of any false word. Only the flights of a quantity
     that differs are tested, by Holm within it, on its share of that probability: over all lines at once
@@ -190,13 +190,13 @@ def judge_quantities(names: tuple[str, str], quantities: list[list[_Pair]]) -> l
 
 
 def _count_lost(pairs: list[_Pair]) -> tuple[int, int]:
-    """Return how many draws each card lacks that the other one has."""
+    """Return the number of runs that each card lacks but the other card has."""
     lacks = [[np.isnan(np.array(line.by_draw, float)) for line in pair[:2]] for pair in pairs]
     return sum(int((a & ~b).sum()) for a, b in lacks), sum(int((b & ~a).sum()) for a, b in lacks)
 
 
 def _tell_lost(names: tuple[str, str], one: Line, change: Change, lost: tuple[int, int]) -> ComparedLine:
-    """Return the line for a filter better in common runs only: its worst runs may have diverged."""
+    """Return the line for a filter that is better only in the common runs, but lost more runs."""
     k = int(change.estimate > 0.0)
     text = (
         f"{names[k]} is better in the runs that both have, but lost {lost[k]} that {names[1 - k]} kept: "

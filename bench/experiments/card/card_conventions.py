@@ -1,4 +1,4 @@
-"""The line of a card with the wrong convention that fits a filter with a broken covariance."""
+"""The line of a card about a mistaken convention that explains an inconsistent filter."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _MOST_BROKEN = 0.5  # of the runs of a flight
 
 
 def judge_conventions(plan: Plan, suite: Suite, label: str, own: Sequence[Rows]) -> list[Line]:
-    """Return the convention that a filter of others looks like, in one line; none where no one fits.
+    """Return the line with the mistaken convention that fits a filter; no line if none fits.
 
     Its answers of some runs of a flight on which its covariance is broken are made again and searched
     together, so that one constant has to do for all. A flight is taken on which nothing breaks, if there is

@@ -61,7 +61,7 @@ Rows = Sequence[Mapping[str, Any]]
 
 
 class Line(Table):
-    """One figure of a card."""
+    """One score of a card."""
 
     topic: str  # "convergence", "coverage", "causality", a key of `ERRORS`, "honesty", "alarms", ... "speed"
     flight: str
@@ -117,7 +117,7 @@ def judge_convergence(flight: SuiteFlight, own: Rows) -> Line:
 
 
 def judge_coverage(flight: SuiteFlight, own: Rows) -> Line:
-    """Return the least share of the epochs that a run answers, by block, and what is not estimated."""
+    """Return the smallest fraction of epochs with a solution in any run, by block, and the missing blocks."""
     shares = {title: [row.get(f"{_ANSWERED}{block}") for row in own] for block, title in TITLES.items()}
     declared = {title: values for title, values in shares.items() if any(v is not None for v in values)}
     least = {title: min(v or 0.0 for v in values) for title, values in declared.items()}
@@ -139,7 +139,7 @@ def judge_coverage(flight: SuiteFlight, own: Rows) -> Line:
 
 
 def judge_start(flight: SuiteFlight, own: Rows) -> Line:
-    """Return how long the run waits that answers last."""
+    """Return the longest time to the first solution of any run."""
     by_draw = tuple(row.get("first_answer_s_all") if _answers(row) else None for row in own)
     known = [value for value in by_draw if value is not None]
     longest = max(known) if len(known) == len(own) else None
@@ -186,7 +186,7 @@ def compare_errors(
 
 
 def compare_bound(values: Sequence[float | None], bound: float | None) -> tuple[Estimate | None, str]:
-    """Return the error over the bound, pooled over the runs, and `IMPOSSIBLE` if it is below for certain.
+    """Return the error over the bound, pooled over the runs, and `IMPOSSIBLE` if it is certainly below.
 
     Certain is what the spread of the runs allows: the upper end of the mean square of so many independent
     errors as they hold (`count_freedom`). The bound is of all runs: of a filter that has lost some, perhaps
@@ -247,7 +247,7 @@ def judge_honesty(flight: SuiteFlight, own: Rows) -> list[Line]:
 
 
 def judge_alarms(flight: SuiteFlight, own: Rows) -> list[Line]:
-    """Return how many of the faults were detected, of those that can be, and how many alarms are false."""
+    """Return the number of detected faults out of the detectable faults, and the number of false alarms."""
     lines = []
     names = [] if flight.without else find_names(own, "fault_", "_detected")
     by_draw = tuple(row[name] for row in own for name in names if row.get(name) is not None)
@@ -269,14 +269,14 @@ def judge_alarms(flight: SuiteFlight, own: Rows) -> list[Line]:
 
 
 def estimate_share(by_draw: FloatArray) -> Estimate:
-    """Return the mean of shares by draw, by Student's t."""
+    """Return the mean of the fractions by run, with an interval by Student's t."""
     mean = average_changes(by_draw)
     low, high = mean.interval(1.0 - ensemble.CONFIDENCE)
     return Estimate(mean.estimate, max(low, 0.0), min(high, 1.0))
 
 
 def judge_robustness(flight: SuiteFlight, own: Rows, without: Rows) -> list[Line]:
-    """Return the ratio of the error to that on the same runs of the same flight where nothing happens."""
+    """Return the ratio of the error to the error in the same runs of the same flight without the event."""
     _, start, end = ERRORS["accuracy"]
     values = [pool_names(rows, find_names(own, start, end)) for rows in (own, without)]
     ratio = compare_rms(*values)
@@ -287,7 +287,7 @@ def judge_robustness(flight: SuiteFlight, own: Rows, without: Rows) -> list[Line
 
 
 def judge_heading(flight: SuiteFlight, own: Rows) -> list[Line]:
-    """Return the median time after which the heading stays right, of a flight that begins with it wrong."""
+    """Return the median time until the heading stays correct, on a flight with a wrong initial heading."""
     estimated = any(row.get("heading_rmse_deg") is not None for row in own)
     if "initial_error_sd.heading_deg" not in flight.values or not estimated:
         return []
@@ -358,7 +358,7 @@ def _make_line(
 
 
 def find_names(rows: Rows, start: str, end: str) -> list[str]:
-    """Return the metrics between these ends that any row has."""
+    """Return the names of metrics in any row that begin and end with these texts."""
     names = dict.fromkeys(name for row in rows for name, value in row.items() if value is not None)
     return [
         name for name in names if name == start or (end and name.startswith(start) and name.endswith(end))
@@ -366,7 +366,7 @@ def find_names(rows: Rows, start: str, end: str) -> list[str]:
 
 
 def pool_names(rows: Rows, names: Sequence[str]) -> tuple[float | None, ...]:
-    """Return the root mean square of some metrics in each run; None if it has none or did not converge."""
+    """Return the RMS of some metrics in each run; None if a run has none or did not converge."""
     return tuple(
         float(np.sqrt(np.mean([row[name] ** 2 for name in names])))
         if names and row["converged"] and all(row.get(name) is not None for name in names)

@@ -94,7 +94,7 @@ class Card(Table):
         return write_sentences([self.summary]) + write_table(f"Card of {self.estimator}", columns)
 
     def frame(self) -> Any:
-        """Return the lines as a pandas.DataFrame, a row for each figure of a flight, with its interval."""
+        """Return the lines as a pandas.DataFrame, a row for each score of a flight, with its interval."""
         names = ("topic", "flight", "figure", "value", "low", "high", "word", "sentence")
         return make_frame({name: [getattr(one, name) for one in self.lines] for name in names})
 
@@ -144,7 +144,7 @@ class Card(Table):
 
     @property
     def good(self) -> bool:
-        """Return whether runs converged and are causal, none beats the bound, and requirements are met."""
+        """Return whether all runs converged, are causal, stay above the bound, and meet the requirements."""
         return (
             not self.lost
             and all(line.value in (0.0, None) for line in self.lines if line.topic == "causality")
@@ -163,7 +163,7 @@ class Card(Table):
 
 
 def write_suite(folder: str | Path, *, quick: bool = False) -> Path:
-    """Write the sensor data of every flight and draw of the suite, for solutions that are made elsewhere.
+    """Write the sensor data of every flight and run of the suite, for solutions computed elsewhere.
 
     Each run has a folder with the tables as ``bench export --to csv`` writes them, in ``sensors``; long ones
     are compressed, and increments have the digits that their noise leaves. With a ``solution.csv`` beside
@@ -324,7 +324,7 @@ def plan_card(
     label: str | None = None,
     options: Mapping[str, Any] | None = None,
 ) -> tuple[Plan, tuple[str, str, str]]:
-    """Return the plan of a suite, and the labels of the filter, of the other one and of the yardstick."""
+    """Return the plan of a suite, and the labels of the filter, the reference filter and the yardstick."""
     if not label and not options:
         uses = list(dict.fromkeys((estimator, against, YARDSTICK)))
         plan = plan_campaign(replace(suite, estimators=tuple(uses)), guard=guard)
@@ -350,7 +350,7 @@ def verify_card(
     jobs: int | None = None,
     progress: Progress | None = None,
 ) -> list[str]:
-    """Run drawn runs of a card again; return what differs from it, in a sentence each.
+    """Repeat random runs of a card; return each difference from the card in a sentence.
 
     Parameters
     ----------
@@ -391,7 +391,7 @@ def verify_card(
 
 
 def is_same_value(one: float | None, other: float | None) -> bool:
-    """Return whether two values differ by no more than another processor makes."""
+    """Return whether two values are equal apart from rounding on another processor."""
     if one is None or other is None:
         return one is other
     return bool(np.isclose(one, other, rtol=SAME, atol=0.0))

@@ -1,4 +1,4 @@
-"""Requirements of the user on a filter on the flights of the suite: a file of rows ``[[requirement]]``."""
+"""User requirements on a filter on the flights of the suite: a file of rows ``[[requirement]]``."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from bench.io.config.toml_file import read_toml
 
 
 class FlightRequirement(RequirementTable):
-    """A metric that a filter has to keep on the flights of the suite."""
+    """A limit on a metric that a filter must meet on the flights of the suite."""
 
     flight: str | None = None
     """The only flight on which it has to; all, if left out."""
@@ -50,7 +50,7 @@ def read_requirements(path: Path, flights: list[str]) -> tuple[Mapping[str, Any]
 
 
 def judge_requirements(flight: str, label: str, own: Rows, rows: tuple[Mapping[str, Any], ...]) -> list[Line]:
-    """Return whether the runs of a flight keep what is required there."""
+    """Return whether the runs of a flight meet the requirements."""
     here = [row for row in rows if row.get("flight", flight) == flight]
     return [
         Line(

@@ -38,7 +38,7 @@ class Suite(CampaignSpec):
     members: tuple[SuiteFlight, ...] = ()
 
     def conditions(self) -> Iterator[tuple[str, Values]]:
-        """Yield profile and values of each flight, in order; with a seed at other times of what breaks."""
+        """Yield profile and values of each flight in order; a seed moves the times of faults and outages."""
         for one in self.members:
             moved = {} if self.seed is None else move_events(one, self.seed)
             yield one.profile, {**one.values, **moved}
@@ -49,7 +49,7 @@ _OF_GAP = 0.4  # of the time to its neighbors
 
 
 def move_events(flight: SuiteFlight, seed: int) -> Values:
-    """Return the faults and outages of a flight, each moved in time by a run of the seed.
+    """Return the faults and outages of a flight, each moved in time by a random amount from the seed.
 
     So a filter that knows the times of the suite by heart finds others. What lasts from the start on, or
     touches something else, stays; the order stays, too.
@@ -118,7 +118,7 @@ FULL = Suite("card", (), runs=40, members=_FULL)
 
 
 def hash_suite(plan: Plan) -> str:
-    """Return a hash of the flights, sensors and runs, whatever the filters are."""
+    """Return a hash of the flights, sensors and runs, independent of the filters."""
     parts = [
         [
             {key: value for key, value in cell.profile.document.items() if key != "estimator"},

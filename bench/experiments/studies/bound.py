@@ -117,7 +117,7 @@ def hold_draws(
     smoothing: Mapping[str, bool],
     phases: Mapping[str, BoolArray],
 ) -> tuple[dict[str, list[Any]], list[str], bool]:
-    """Return ratios of errors (R, M, 9) by filter to the bound, words, and whether none is below it."""
+    """Return the ratios of errors (R, M, 9) to the bound by filter, sentences, and whether all reach 1."""
     columns: dict[str, list[Any]] = {
         name: []
         for name in ("estimator", "phase", "quantity", "rmse", "bound", "ratio", "low", "high", "unit")

@@ -115,7 +115,7 @@ def square_errors(runs: Draws) -> FloatArray:
 
 
 def find_sources(budget: Budget, rows: list[int]) -> list[str]:
-    """Return the sources that have a part in the variance of any quantity at any of the epochs."""
+    """Return the sources that contribute to the variance of any quantity at any epoch."""
     return [
         name
         for s, name in enumerate(budget.sources)
@@ -168,7 +168,7 @@ def tabulate_budget(budget: Budget, at: dict[str, int], label: str) -> FindingTa
 def pair_variances(
     budget: Budget, drawn: Mapping[str, FloatArray], at: dict[str, int], runs: int
 ) -> dict[str, list[Any]]:
-    """Return the rows of sources that matter: by covariance, by runs, and the ratio of their variances.
+    """Return the rows of non-negligible sources: by covariance, by runs, and the ratio of the variances.
 
     ``drawn`` has the mean squares (M, 9) of the errors by source. A ratio of a variance of so many runs over
     the true one is chi-square over its degrees of freedom; its interval has the probability `LEVEL`.
@@ -239,7 +239,7 @@ def rank(budget: Budget, k: int, words: str) -> str:
 
 
 def compare(pairs: dict[str, list[Any]], runs: int) -> list[str]:
-    """Return how covariance and runs agree, and each pair that does not."""
+    """Return how well covariance and runs agree, and each pair that does not."""
     count = Counter(pairs["agrees"])
     level = f"{100.0 * LEVEL:g} % intervals of {runs} runs"
     told = [
@@ -263,7 +263,7 @@ def compare(pairs: dict[str, list[Any]], runs: int) -> list[str]:
 
 
 def judge_claim(budget: Budget, at: dict[str, int], label: str, refused: int) -> list[str]:
-    """Return what the filter reports against what it does."""
+    """Return the sentence that compares the reported with the actual error of the filter."""
     texts = []
     for words, k in at.items():
         ratio = {q.title: float(q.sd(budget.total[k]) / q.sd(budget.claimed[k])) for q in QUANTITIES}
@@ -306,7 +306,7 @@ def plot_budget(budget: Budget, label: str) -> list[Plot]:
 
 
 def give_colors(colors: dict[str, Color], names: list[str]) -> None:
-    """Let each source keep the color it has, unless two of one figure have the same."""
+    """Keep the color of each source, unless two sources of one figure have the same color."""
     for name in names:
         taken = {colors[other] for other in names if other in colors and other != name}
         if name not in colors or colors[name] in taken:
@@ -316,7 +316,7 @@ def give_colors(colors: dict[str, Color], names: list[str]) -> None:
 def _draw_layers(
     t: FloatArray, layers: list[tuple[str, FloatArray]], colors: dict[str, Color]
 ) -> Iterator[Series]:
-    """Yield an area for each layer on those before it, and its upper edge."""
+    """Yield an area for each layer on top of the layers before it, and its upper edge."""
     below = np.zeros(len(t))
     for k, (name, values) in enumerate(layers):
         edges, color = np.column_stack([below + values, below]), colors.get(name, series.BAND)

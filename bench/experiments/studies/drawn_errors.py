@@ -27,7 +27,7 @@ INTERVAL = 1.0
 
 @dataclass(frozen=True, slots=True)
 class UnitFlight:
-    """A profile with one IMU, by names, and what is replaced in it: what a worker makes the rest from."""
+    """A profile with one IMU by name, and the replaced values, from which a worker loads the flight."""
 
     profile: str
     imu: str | None = None
@@ -101,14 +101,14 @@ def find_choice(profile: Profile, label: str) -> EstimatorChoice:
 
 
 def split_draws(runs: int, parts: int) -> Iterator[tuple[int, int]]:
-    """Yield first and count of the parts that runs are split into."""
+    """Yield the first run and the number of runs of each part."""
     edges = np.linspace(0, runs, min(parts, runs) + 1).astype(int)
     for first, last in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
         yield first, last - first
 
 
 def key_instants(t: FloatArray, profile: Profile) -> dict[str, int]:
-    """Return the rows of t where a flight is looked at: the end of each outage, and of the flight."""
+    """Return the rows of t that are reported: the end of each outage, and of the flight."""
     found = {
         f"{stop:g} s, end of the outage": int(np.argmin(np.abs(t - (stop - INTERVAL))))
         for _, stop in profile.sensors.gnss_outages

@@ -101,7 +101,7 @@ def _ask(options: Options, work: StudyWorkers) -> Findings:
 
 
 def fly_draw(task: _FlownTask) -> FlownByFilter:
-    """Fly one run and return what came of it."""
+    """Fly one run and return its result."""
     profile = task.profile
     closed = closed_loop.fly(profile, task.run)
     truth, answers = closed.truth, closed.answers
@@ -119,7 +119,7 @@ def fly_draw(task: _FlownTask) -> FlownByFilter:
 
 
 def measure_miss(profile: Profile, truth: Trajectory, by_truth: Trajectory) -> float:
-    """Return how far from each other two flights of a profile end, or touch down, horizontally [m]."""
+    """Return the horizontal distance between the ends, or touch-downs, of two flights of a profile [m]."""
     ends = []
     for one in (truth, by_truth):
         t = float(one.t[-1])
@@ -150,7 +150,7 @@ def load_cases(options: Options) -> dict[tuple[str | None, str], Profile]:
 
 
 def compare_misses(one: FloatArray, first: FloatArray) -> tuple[str, Quantile]:
-    """Return a word for misses (R,) of the same runs, and the median of their ratio; infinite: a crash."""
+    """Return the verdict on misses (R,) of the same runs, and the median ratio; a crash is infinite."""
     with np.errstate(invalid="ignore"):
         ratio = np.maximum(one, _SMALLEST) / np.maximum(first, _SMALLEST)
     found = estimate_quantile(np.where(np.isnan(ratio), 1.0, ratio), 0.5)
@@ -170,7 +170,7 @@ def _finite(value: float | None) -> float | None:
 
 
 def tabulate_flown(flown: Mapping[tuple[str | None, str], list[FlownByFilter]]) -> Iterator[FindingTable]:
-    """Yield the misses and, where a flight has a path, the errors across it."""
+    """Yield the misses and, for flights with a path, the cross-track errors."""
     rows, across = list[list[Any]](), list[list[Any]]()
     first = _collect(next(iter(flown.values())))
     for (unit, use), flights in flown.items():
@@ -195,7 +195,7 @@ def tabulate_flown(flown: Mapping[tuple[str | None, str], list[FlownByFilter]]) 
 
 
 def plot_misses(flown: Mapping[tuple[str | None, str], list[FlownByFilter]]) -> Plot:
-    """Return the shares of the flights that miss by less than a distance."""
+    """Return the fractions of the flights that miss by less than a distance."""
     lines = []
     for k, (case, flights) in enumerate(flown.items()):
         miss = np.sort(_collect(flights))

@@ -39,7 +39,7 @@ _WALK = 1e-3  # of a bias, over its sigma [1/sqrt(s)]
 
 
 def make_sigmas(arw: float, vrw: float, drift: float, bias: float) -> Sigmas:
-    """Return the figures of a grade; receiver and barometer are the middle of the ranges of A-5.2 and A-5.3.
+    """Return the parameters of a grade, with receiver and barometer from the middle of A-5.2 and A-5.3.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ def make_sigmas(arw: float, vrw: float, drift: float, bias: float) -> Sigmas:
 
 @dataclass(frozen=True)
 class Grade:
-    """A class of IMU, and what its alignment leaves."""
+    """A class of IMU, with its initial errors after alignment."""
 
     sigmas: Sigmas
     tilt: float = 0.1 * DEG  # standard deviation by axis at the start [rad]
@@ -158,7 +158,7 @@ class LinearFlight:
         return self.take_sd(covariances)
 
     def carry(self, grade: Grade, P: FloatArray, after: int, to: int) -> Iterator[FloatArray]:
-        """Yield P (22, 22) after every second from one on up to another, from that at the first."""
+        """Yield P (22, 22) after every second between two times, starting from P at the first time."""
         for k in range(after + 1, to + 1):
             Phi, G = self.move(grade.sigmas, k)
             P = Phi @ P @ Phi.T + G @ G.T

@@ -54,7 +54,7 @@ class Options(UnitOptions):
 
 
 def run(options: Options, work: StudyWorkers) -> Findings:
-    """Return what is known before, in and after turns."""
+    """Return the uncertainties before, in and after turns."""
     return ask_each("observability", options, work, lambda one: _choose(one).read(), _ask)
 
 
@@ -83,7 +83,7 @@ def _ask(options: Options, work: StudyWorkers) -> Findings:
 
 
 def smooth_phases(turning: BoolArray, t: FloatArray) -> BoolArray:
-    """Return phases without those shorter than `_LONG`: they belong to the one before."""
+    """Return phases, with phases shorter than `_LONG` merged into the phase before."""
     edges = np.flatnonzero(np.diff(turning)) + 1
     out = turning.copy()
     for a, b in zip(edges, [*edges[1:], len(t)], strict=True):
@@ -103,7 +103,7 @@ def _figure(seen: Observed, states: tuple[int, ...], scale: float) -> FloatArray
 
 
 def tabulate_phases(seen: Observed, phases: list[tuple[str, int, int]]) -> FindingTable:
-    """Return what is known before and after each phase."""
+    """Return the uncertainties before and after each phase."""
     columns: dict[str, list[Any]] = {
         "from_s": [float(seen.t[a]) for _, a, _ in phases],
         "to_s": [float(seen.t[b]) for _, _, b in phases],
@@ -149,7 +149,7 @@ def tabulate_directions(seen: Observed, phases: list[tuple[str, int, int]]) -> F
 
 
 def tell_observed(name: str, seen: Observed, phases: list[tuple[str, int, int]]) -> list[str]:
-    """Return the sentences on the heading and on what stays unobserved."""
+    """Return the sentences on the heading and on the least observable direction."""
     told = []
     at = _instants(seen, phases)
     heading = seen.sd[:, 2] / DEG

@@ -69,7 +69,7 @@ class LogResult:
 
 
 def run(options: Options, work: StudyWorkers) -> Findings:
-    """Return how each filter did on each log, and how the others compare with the first."""
+    """Return the result of each filter on each log, and the comparison of each filter with the first."""
     paths = find_logs(options.logs)
     function = partial(
         navigate_one,
@@ -128,7 +128,7 @@ _One = tuple[str, str, str, bool, dict[str, float]]
 def navigate_one(
     path: str, estimators: Sequence[str] | None, places: int, allow_code: bool, overrides: Mapping[str, Any]
 ) -> list[_One]:
-    """Return label, word, reason, success and values of each filter on a log: the work of a worker."""
+    """Return label, verdict, reason, success and values of each filter on a log; runs in a worker."""
     if not path.endswith(".toml"):
         return [
             ("", "no result", f"it has no LOG.toml; bench new log {path} writes it, or says why", False, {})
@@ -153,7 +153,7 @@ def navigate_one(
 def list_values(
     label: str, values: Mapping[str, Any], drifts: Sequence[Mapping[str, Any]]
 ) -> Iterator[tuple[str, float]]:
-    """Yield the quantities that are compared, by name with unit: errors, and drifts in cuts."""
+    """Yield the compared quantities by name with unit: errors, and drifts in simulated outages."""
     known = {"horizontal_m": "pos_rmse_h_m", "height_m": "pos_rmse_d_m", "velocity_mps": "vel_rmse_3d_mps"}
     for name, metric in known.items():
         value = values.get(metric)
@@ -167,7 +167,7 @@ def list_values(
 def compare_filters(
     rows: Sequence[LogResult], labels: Sequence[str]
 ) -> Iterator[tuple[str, str, Estimate, int, str]]:
-    """Yield quantity, filter, its ratio to the first filter over the logs, their number, and a word.
+    """Yield quantity, filter, ratio to the first filter over the logs, number of logs, and verdict.
 
     By the mean of the log ratios; Holm's method keeps the probability of any false word. A filter that lost a
     log that the other one kept is not called better: it may lack the worst.
@@ -246,7 +246,7 @@ def tabulate_logs(
 
 
 def plot_logs(rows: Sequence[LogResult], labels: Sequence[str], logs: Sequence[str]) -> Iterator[Plot]:
-    """Yield a plot of each quantity: a dot a log and filter."""
+    """Yield a plot of each quantity, with a dot for each log and filter."""
     colors = series.estimator_colors(labels)
     places = {log: k + 1.0 for k, log in enumerate(logs)}
     for name in dict.fromkeys(key for row in rows for key in row.values):

@@ -165,7 +165,7 @@ def _ask(options: Options, work: StudyWorkers) -> Findings:
 
 
 def _gather(watches: Sequence[WatchedFlight], options: Options) -> list[Watched]:
-    """Return what is watched in the plane and in height, of flights brought to one length."""
+    """Return the horizontal and the vertical errors and levels, of flights cut to one length."""
     limits = (options.alert_limit_m or options.rnp_nm * _NM, options.vertical_limit_m)
     alarm = np.array([one.alarm for one in align_flights(watches)])
     return [
@@ -218,7 +218,7 @@ def watch_run(run: RnpRun) -> WatchedFlight:
 
 
 def find_steering_errors(truth: Trajectory, steered: NavSolution, t: FloatArray) -> FloatArray:
-    """Return how wrong the answers at some epochs (M,) [s] were that steered: (M, 3) [m], n."""
+    """Return the position errors (M, 3) [m], n, of the guiding solution at some epochs (M,) [s]."""
     errors = error_series(truth, steered)
     found: FloatArray = errors.pos_n[np.searchsorted(errors.t, t - SAME_INSTANT).clip(max=len(errors.t) - 1)]
     return found
@@ -226,7 +226,7 @@ def find_steering_errors(truth: Trajectory, steered: NavSolution, t: FloatArray)
 
 @lru_cache(maxsize=2)
 def load_flight(options: Options, number: int) -> tuple[Profile, Trajectory, NavSolution | None]:
-    """Return the profile and the truth of a flight, and the answers that steered it if the filter flew.
+    """Return profile and truth of a flight, and the solution that guided it if the filter flew.
 
     With turbulence each flight has its own, and so it has where the filter flies; else one is that of all.
     """
@@ -244,7 +244,7 @@ def load_flight(options: Options, number: int) -> tuple[Profile, Trajectory, Nav
 
 
 def make_profile(options: Options, seed: int | None = None) -> Profile:
-    """Return the profile, which the filter flies if a filter does; ConfigError if it lacks satellites."""
+    """Return the profile, guided by the filter if requested; ConfigError if it lacks satellites."""
     given = options.settings | ({} if options.gnss is None else {"sensors.gnss": options.gnss})
     seed, asked = options.seed if seed is None else seed, (options.estimator,)
     profile = read_profile(options.profile, given, seed, asked)
@@ -260,13 +260,13 @@ def make_profile(options: Options, seed: int | None = None) -> Profile:
 
 
 def choose_rows(truth: Trajectory, profile: Profile) -> Any:
-    """Return the rows of the truth at whole seconds, from where the profile is evaluated."""
+    """Return the rows of the truth at whole seconds, from the start of the evaluation."""
     t = np.arange(np.ceil(max(profile.evaluation.begin, truth.t[0])), truth.t[-1] + SAME_INSTANT, _INTERVAL)
     return np.unique(np.searchsorted(truth.t, t - SAME_INSTANT))
 
 
 def navigate(profile: Profile, sensed: Sensed, t: FloatArray) -> NavSolution:
-    """Return the answers of the filter at some times (M,) [s]."""
+    """Return the solution of the filter at some times (M,) [s]."""
     choice = profile.estimators[0]
     data = replace(sensed.data, output_t=t)
     return estimator.answer(pipeline.build_estimator(choice), choice.label, data, sensed.initial)
@@ -298,7 +298,7 @@ def _list_rows(
 
 
 def _list_accuracy(errors: dict[str, FloatArray], rnp: float) -> Iterator[dict[str, Any]]:
-    """Yield the rows of what is across track."""
+    """Yield the rows of the cross-track errors."""
     on = ~np.isnan(errors["FTE"]).any(axis=0)
     if not on.any():
         return

@@ -67,7 +67,7 @@ class Swept:
 
     @property
     def lost(self) -> int:
-        """Draws that did not converge."""
+        """Runs that did not converge."""
         return sum(not row["converged"] for row in self.runs)
 
     def select(self, name: str) -> dict[int, float]:
@@ -75,18 +75,18 @@ class Swept:
         return {row["run"]: row[name] for row in self.runs if row["converged"] and row.get(name) is not None}
 
     def pool(self, name: str) -> Estimate | None:
-        """Return the RMS of a metric over the runs that converged; None of fewer than two."""
+        """Return the RMS of a metric over the converged runs; None for fewer than two runs."""
         known = np.array(list(self.select(name).values()))
         return pool_rmse(np.square(known)) if len(known) > 1 else None
 
 
 def run(options: Options, work: StudyWorkers) -> Findings:
-    """Return the errors of each filter over the values."""
+    """Return the errors of each filter for each value."""
     return ask_each("sensitivity", options, work, lambda one: plan_campaign(_plan(one, 1)), ask_profile)
 
 
 def ask_profile(options: Options, work: StudyWorkers) -> Findings:
-    """Return the errors over the values on one profile, of as many runs as its ends need."""
+    """Return the errors for each value on one profile, with as many runs as the extreme values need."""
     values = find_values(options)
     looks = len(Looks(options.runs, options.max_runs).numbers)
     rows: list[Mapping[str, Any]] = []
@@ -220,7 +220,7 @@ def _tell(
 
 
 def _plot(options: Options, swept: Mapping[str, Sequence[Swept]]) -> Iterator[Plot]:
-    """Yield a plot of each error over the value, or over its number if it is no number."""
+    """Yield a plot of each error over the value, or over its index if the value is no number."""
     values = [one.value for one in next(iter(swept.values()))]
     numbers = all(isinstance(value, int | float) and not isinstance(value, bool) for value in values)
     x = np.array(values if numbers else range(1, len(values) + 1), float)

@@ -46,7 +46,7 @@ _QUARTER, _HALF = 0.5 * math.pi / SCHULER, math.pi / SCHULER  # of the Schuler p
 
 
 class _Error(NamedTuple):
-    """An error that moves the position of an unaided INS."""
+    """A sensor error that causes a position drift of an unaided INS."""
 
     words: str
     column: str  # ends in its unit
@@ -129,7 +129,7 @@ def allow(error: float, t: FloatArray, name: str) -> FloatArray:
 
 
 def find_times(unit: str, error: float) -> tuple[float | None, float | None]:
-    """Return how long an IMU stays within an error [m] by axis, calibrated and as turned on [s].
+    """Return the times [s] for which an IMU stays within an error [m] per axis: calibrated, and as turned on.
 
     From a perfect start, by its datasheet; None if for ten hours.
     """
@@ -146,7 +146,7 @@ def _find_time(imu: ImuSpec, error: float, *, calibrated: bool) -> float | None:
 
 
 def simulate(error: float, t: FloatArray, lat: float) -> FloatArray:
-    """Return what :func:`allow` does for accelerometer and gyro (N, 2), by the strapdown at a latitude [rad].
+    """Return the results of :func:`allow` for accelerometer and gyro (N, 2), by a strapdown at lat [rad].
 
     A bias that moves the position by d at most up to a time may be error / d times as large: it is linear.
     """

@@ -1,4 +1,4 @@
-"""The Stanford diagram: protection levels held against errors, as a table and as pictures."""
+"""The Stanford diagram: protection levels compared with errors, as a table and as figures."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def known_size(size: FloatArray) -> FloatArray:
 
 
 def tabulate_stanford(planes: list[Watched]) -> FindingTable:
-    """Return how often each part of the Stanford diagram was visited."""
+    """Return the number of epochs in each region of the Stanford diagram."""
     names = ("plane", "part", "instants_percent", "runs", "runs_low_percent", "runs_high_percent")
     columns: dict[str, list[Any]] = {name: [] for name in names}
     for plane, watched in zip(PLANES, planes, strict=True):

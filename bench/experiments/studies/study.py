@@ -88,7 +88,7 @@ class StudyOptions(BaseModel):
 
 
 class FlightOptions(StudyOptions):
-    """The options of a study that flies profiles: what is replaced in them, and the seed of its runs."""
+    """Options of a study that flies profiles: the replaced values, and the seed of the runs."""
 
     overrides: Settings = ()
     """values of the profiles to replace, or figures of datasheets they name"""
@@ -102,7 +102,7 @@ class FlightOptions(StudyOptions):
 
 
 class UnitOptions(FlightOptions):
-    """The options of a study that asks the same of every flight with every unit, one after the other."""
+    """Options of a study that answers the same question for each flight with each unit."""
 
     profiles: Words
     """names of shipped profiles, or .toml files of your own, separated by commas"""
@@ -138,7 +138,7 @@ def ask_each(
     *,
     together: bool = False,
 ) -> Findings:
-    """Return what is found on every flight with every unit, each of which gets options of its own.
+    """Return the findings for each flight with each unit, each with its own options.
 
     All are checked before the first is asked. If ``together``, the units of a flight are asked at once.
 
@@ -172,7 +172,7 @@ FLOWN_BY = "guidance.navigation"
 
 
 def refuse_navigation(study: str, options: FlightOptions, option: str) -> None:
-    """Raise ConfigError if values to replace name a filter that flies, which an option of the study does."""
+    """Raise ConfigError if replaced values name the guiding filter, which an option of the study sets."""
     if FLOWN_BY in options.settings:
         raise ConfigError(
             f"study {study}: --set {FLOWN_BY}: {option} sets the filter that flies; leave --set out"
@@ -282,7 +282,7 @@ def make_command(name: str, options: StudyOptions) -> Iterator[str]:
 
 
 def make_flag(key: str, value: Any) -> list[str]:
-    """Return the words of the command line that give an option a value."""
+    """Return the command-line words that set an option."""
     if key in LISTS:
         return [word for one in value for word in (LISTS[key], one)]
     flag = key.replace("_", "-")

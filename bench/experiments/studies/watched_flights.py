@@ -1,4 +1,4 @@
-"""Flights of one study side by side: those that turbulence makes a little longer, and those that crash."""
+"""Flights of one study aligned in time: turbulence changes their length, and some crash."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class WatchedFlight:
 
 
 def align_flights(watches: Sequence[WatchedFlight]) -> list[WatchedFlight]:
-    """Return flights of equal length: turbulence lets each end a little earlier or later.
+    """Return flights cut to equal length, because turbulence changes their length a little.
 
     A crash shortens no other flight: from there on, and at the last epoch at least, its own has no solution
     and is infinitely far off.
@@ -50,7 +50,7 @@ def _fit(one: WatchedFlight, length: int) -> WatchedFlight:
 
 
 def tell_crashes(watches: Sequence[WatchedFlight]) -> Iterator[str]:
-    """Yield how many flights crashed, if any did."""
+    """Yield the number of crashed flights, if any crashed."""
     if lost := [one for one in watches if one.crashed]:
         first = min(float(one.t[-1]) for one in lost)
         yield (

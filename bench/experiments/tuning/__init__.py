@@ -1,1 +1,1 @@
-"""Find the noises that a filter should assume."""
+"""Tuning of the noise that a filter assumes."""

@@ -47,18 +47,18 @@ class FoundFactor:
 
 
 class SpentError(Exception):
-    """As many sets were tried as there may be."""
+    """Raised when the largest number of sets has been tried."""
 
 
 class Tried:
-    """Costs of the sets that were tried, and the mean that the search makes least."""
+    """Costs of the tried sets, and the mean cost that the search minimizes."""
 
     def __init__(self, costs: Costs, most: int) -> None:
         self._costs, self._most = costs, most
         self.rows: dict[tuple[float, ...], FloatArray] = {}
 
     def draws(self, x: FloatArray) -> FloatArray:
-        """Return the cost of each run (D,), whatever was spent."""
+        """Return the cost of each run (D,), without a limit on the number of sets."""
         key = tuple(x.tolist())
         if key not in self.rows:
             self.rows[key] = self._costs(x)
@@ -69,7 +69,7 @@ class Tried:
         return float(self.draws(x).mean()) + _PULL * float(x @ x)
 
     def search(self, x: FloatArray) -> float:
-        """Return the mean cost as long as more sets may be tried."""
+        """Return the mean cost; raise SpentError if no more sets may be tried."""
         if len(self.rows) >= self._most:
             raise SpentError
         return self.mean(x)
@@ -80,7 +80,7 @@ class Tried:
 
 
 def search_factors(costs: Costs, n: int, most: int) -> FoundFactor:
-    """Return where the mean of the costs is least, and the intervals of each logarithm.
+    """Return the logarithms that minimize the mean cost, with their intervals.
 
     Parameters
     ----------
@@ -109,7 +109,7 @@ def search_factors(costs: Costs, n: int, most: int) -> FoundFactor:
 
 
 def _descend(tried: Tried, start: FloatArray, last: float) -> FloatArray:
-    """Return the best set on the way from a start until the trust region is small."""
+    """Return the best set of a descent from a start until the trust region is small."""
     from scipy.optimize import minimize
 
     found = minimize(
@@ -123,14 +123,14 @@ def _descend(tried: Tried, start: FloatArray, last: float) -> FloatArray:
 
 
 def find_edge(draws: int) -> float:
-    """Return the bound of Student's t for so many runs."""
+    """Return the bound of Student's t for the number of runs."""
     from scipy.special import stdtrit
 
     return float(stdtrit(draws - 1, 0.5 + 0.5 * _CONFIDENCE))
 
 
 def t_value(values: FloatArray) -> float:
-    """Return the mean over its standard error; 0 where nothing differs from zero."""
+    """Return the mean divided by its standard error; 0 if all values are zero."""
     mean, error = float(values.mean()), float(values.std(ddof=1)) / np.sqrt(len(values))
     if error == 0.0:
         return 0.0 if mean == 0.0 else float(np.copysign(np.inf, mean))
@@ -150,7 +150,7 @@ def find_ends(tried: Tried, x: FloatArray, hessian: FloatArray, edge: float) -> 
 
 
 def step_to_valley(tried: Tried, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Take Newton's step if it lowers the mean; return where it ends, and the second derivatives (n, n)."""
+    """Take a Newton step if it lowers the mean; return the end point, and the second derivatives (n, n)."""
     n, unit, mean = len(x), _STEP * np.eye(len(x)), tried.mean
     here = mean(x)
     ahead, back = [mean(x + one) for one in unit], [mean(x - one) for one in unit]

@@ -37,7 +37,7 @@ _REPEATS = 0.1  # correlation of neighboring innovations that matters [1]
 
 @dataclass(frozen=True)
 class Tuning:
-    """Factors on assumed noises, and what they change."""
+    """Factors on the assumed noise, with the results before and after."""
 
     label: str
     goal: Goal
@@ -223,7 +223,7 @@ def tune(
 
 
 def _name_ends(found: FoundFactor, k: int) -> tuple[float | None, float | None]:
-    """Return the interval of a factor; None where there is no end."""
+    """Return the interval of a factor; None for an open end."""
     low, high = (float(np.exp(ends[k])) if np.isfinite(ends[k]) else None for ends in (found.low, found.high))
     return low, high
 
@@ -280,12 +280,12 @@ def scale(
 
 
 def _name_keys(figures: Mapping[str, float]) -> dict[str, float]:
-    """Return figures by their keys of --set: the filter alone assumes them."""
+    """Return values by their keys of --set, as assumed datasheet values."""
     return {f"sensors.assumed.{key}": value for key, value in figures.items()}
 
 
 def write_datasheets(trial: Trial, figures: Mapping[str, float]) -> dict[str, str]:
-    """Return the texts of the datasheets with the tuned figures, all else as it was."""
+    """Return the texts of the datasheets with the tuned values; everything else is unchanged."""
     texts = {}
     for kind in dict.fromkeys(key.partition(".")[0] for key in figures):
         path, _ = find_datasheet(kind, trial.assumed[kind], trial.beside)

@@ -51,7 +51,7 @@ class HeldOutScore:
 
 
 class Trial(Protocol):
-    """Data that tune a filter, and other data that evaluate it."""
+    """Data for tuning a filter, and other data for its evaluation."""
 
     label: str  # of the filter
     assumed: dict[str, str]  # kind of sensor -> name of the datasheet that the filter assumes
@@ -61,11 +61,11 @@ class Trial(Protocol):
         """Return the cost of each run (D,) with these figures, on the data for tuning; finite."""
 
     def judge(self, figures: Figures) -> HeldOutScore:
-        """Return how it does with them on the other data."""
+        """Return the score of the filter with these values on the other data."""
 
 
 class ProfileTrial:
-    """Runs of a profile: 0 to ``runs`` - 1 tune, as many after them evaluate.
+    """Runs of a profile: 0 to ``runs`` - 1 for tuning, and the same number after them for the evaluation.
 
     ``options`` are those of `bench.io.config.read_profile` but for the estimators.
     """
@@ -93,7 +93,7 @@ class ProfileTrial:
     def _compute(
         self, function: Callable[[RunTask], Mapping[str, Any]], figures: Figures, draws: Sequence[int]
     ) -> list[Mapping[str, Any]]:
-        """Return what a function of workers finds in each run."""
+        """Return the result of a worker function for each run."""
         profile = self._load(figures)
         step = choose_step(self._end, profile.sensors.output_rate)
         tasks = [RunTask(str(run), self._truth_key, profile, run, step) for run in draws]
@@ -113,7 +113,7 @@ class ProfileTrial:
         return np.array([limit_cost(row[goal]) for row in rows])
 
     def judge(self, figures: Figures) -> HeldOutScore:
-        """Return how it does with them in the other runs."""
+        """Return the score of the filter with these values in the other runs."""
         others = self._compute(measure, figures, range(self._runs, 2 * self._runs))
         rows = [row["estimators"][self.label] for row in others]
         good = [row for row in rows if row["metrics"]["converged"]]
@@ -122,7 +122,7 @@ class ProfileTrial:
 
 
 class LogTrial:
-    """A log: the withheld fixes of its first half tune, the withheld fixes of its second half evaluate."""
+    """A log: its first half for tuning, the withheld fixes of its second half for the evaluation."""
 
     def __init__(
         self, source: str, estimator: str, overrides: Mapping[str, Any], *, allow_code: bool, guard: Guard
@@ -165,7 +165,7 @@ class LogTrial:
         return np.array([limit_cost(value * _STRETCHES / max(inside.sum(), 1)) for value in sums])
 
     def judge(self, figures: Figures) -> HeldOutScore:
-        """Return how it does with them in the second half."""
+        """Return the score of the filter with these values in the second half."""
         result = self._navigate(figures)
         t = result.errors[self.label].t
         edges = self._split(t)[_STRETCHES:]
@@ -176,7 +176,7 @@ class LogTrial:
 
 
 def measure_costs(task: RunTask) -> dict[str, Any]:
-    """Return by goal the cost of the one filter of a run, or an ``error``: the work of a worker."""
+    """Return the cost of the filter in a run by goal, or an ``error``; runs in a worker."""
     keep_freed_memory()
     profile = task.profile
     try:

@@ -190,7 +190,7 @@ def measure_growth(task: DriftRun) -> FloatArray:
 
 
 def list_instants(t: FloatArray, outage: tuple[float, float], grid: Sequence[float]) -> FloatArray:
-    """Return the loss and the epochs after it (1 + D,) [s]; at the end of the outage the last before it.
+    """Return the start of the outage and the epochs after it (1 + D,) [s]; the last is before the end.
 
     A fix at the end itself has ended the drift. ``t`` (N,) are the epochs of the truth.
     """

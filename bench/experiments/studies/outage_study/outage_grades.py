@@ -34,7 +34,7 @@ class Grown:
     by_gyro: FloatArray  # (N,)
 
     def take(self, elapsed: Sequence[float]) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return the three at some times since the loss [s]."""
+        """Return the three sigmas at some times since the start of the outage [s]."""
         east, accel, gyro = (
             np.interp(elapsed, self.seconds, values) for values in (self.east, self.by_accel, self.by_gyro)
         )
@@ -42,7 +42,7 @@ class Grown:
 
 
 def predict_grades(longest: float, work: StudyWorkers) -> list[Grown]:
-    """Return the growth of each grade in each phase, for so long [s] and ten minutes at least."""
+    """Return the growth of each grade in each phase, for a duration [s] and at least ten minutes."""
     seconds = np.arange(max(_LEAST_S, int(np.ceil(longest))) + 1.0)
     found = work.map("covariances by grade", _grow, [(name, len(seconds) - 1) for name in GRADES])
     grades = []
@@ -71,7 +71,7 @@ def _grow(asked: tuple[str, int]) -> dict[str, FloatArray]:
 
 
 def find_time(seconds: FloatArray, values: FloatArray, limit: float) -> float | None:
-    """Return when values (N,) first go beyond a limit, linear between epochs; None if they do not."""
+    """Return the time at which values (N,) first exceed a limit, linear between epochs; None if never."""
     beyond = np.flatnonzero(values > limit)
     if not len(beyond):
         return None
@@ -95,7 +95,7 @@ def fill_grades(grades: Sequence[Grown], elapsed: Sequence[float], limit: float)
 
 
 def tell_grades(grades: Sequence[Grown], limit: float) -> Iterator[str]:
-    """Yield after how long each grade has drifted so far [m]."""
+    """Yield the time after which each grade has drifted by a distance [m]."""
     parts = []
     for one in grades:
         if one.phase == "s-turns":

@@ -17,7 +17,7 @@ from bench.experiments.studies.outage_study.outage_grades import find_time
 
 @dataclass(frozen=True)
 class Drift:
-    """The growth of the error of one unit in one phase over runs, second by second since the loss."""
+    """The error growth of one IMU in one phase over runs, at every second of the outage."""
 
     grid: FloatArray  # (D,) since the loss [s]
     grown: (
@@ -32,7 +32,7 @@ class Drift:
 
     @property
     def lost(self) -> int:
-        """Draws that have no finite error at some time."""
+        """Runs without a finite error at some time."""
         return len(self.grown) - len(self.good)
 
     @property
@@ -47,7 +47,7 @@ class Drift:
 
     @cached_property
     def error(self) -> FloatArray:
-        """The same of the horizontal error, with what it was at the loss (D, 3) [m]."""
+        """RMS of the horizontal error, including its initial value, and its 95 % interval (D, 3) [m]."""
         return self._pool(self.good[:, :, 3])
 
     def _pool(self, squares: FloatArray) -> FloatArray:
@@ -73,7 +73,7 @@ class Drift:
         return estimate_quantile(self.sizes[:, k], fraction).value if len(self.good) else None
 
     def find_times(self, limit: float) -> tuple[float | None, float | None, float | None]:
-        """Return when the drift is beyond a limit [m], and the ends of its 95 % interval [s]; None: never."""
+        """Return the time at which the drift exceeds a limit [m], and its 95 % interval [s]; None: never."""
         value, low, high = self.rms.T
         reached = (find_time(self.grid, column, limit) for column in (value, high, low))
         return tuple(reached)  # type: ignore[return-value]

@@ -37,7 +37,7 @@ _TITLE = "Horizontal drift since the start of the outage: RMS with its 95 % inte
 def fill_drifts(
     drifts: Drifts, units: Mapping[str, CatalogImu], elapsed: Sequence[float], limit: float
 ) -> tuple[FindingTable, ...]:
-    """Return the horizontal drift, its sources, the time to a limit [m], error and claim, drift by axis."""
+    """Return the tables of the horizontal drift, its sources, the time to a limit [m], the drift by axis."""
     rows, claims, by_axis, sources, times = [], [], [], [], []
     for (unit, phase), drift in drifts.items():
         measured = len(drift.good) > 1
@@ -163,7 +163,7 @@ def _tell_claims(label: str, drifts: Drifts, elapsed: Sequence[float]) -> Iterat
 
 
 def plot_drifts(units: Sequence[str], phases: Sequence[str], drifts: Drifts) -> Iterator[Plot]:
-    """Yield the error of all units with its band and claim, and the drift over its closed form."""
+    """Yield the error of all units with its band and reported sigma, and the drift over its closed form."""
     colors = series.estimator_colors(units)
     for phase in phases:
         lines: list[Series] = []

@@ -1,4 +1,4 @@
-"""IMUs as a buyer sees them: of the catalog or in a file of one's own, their class and what no source states.
+"""IMUs for a buyer, from the catalog or a file: class, and values that no source states.
 
 A figure that a datasheet leaves out is zero in its model, which flatters the unit. What is typical of a class
 is the median of the figures that the catalog has for units of this class, those that are assumed included.
@@ -32,7 +32,7 @@ LIMITS = ("range", "bandwidth", "quantization")
 
 
 class Typical(NamedTuple):
-    """A figure that a datasheet leaves out, as it is usual in its class."""
+    """Typical value of a class for a parameter that a datasheet leaves out."""
 
     gap: str  # in words, as in ``CatalogImu.absent``
     key: str  # ``gyro.bias_instability_deg_h``
@@ -51,12 +51,12 @@ class CatalogImu(NamedTuple):
 
     @property
     def filled(self) -> dict[str, Any]:
-        """Values of a profile that fly the unit with what is typical of its class."""
+        """Overrides of a profile that fly the IMU with typical values for its gaps."""
         return {f"sensors.imu.{one.key}": one.value for one in self.typical}
 
     @property
     def short(self) -> str:
-        """Its name in a picture."""
+        """Name of the IMU in a figure."""
         return Path(self.name).stem
 
 
@@ -102,7 +102,7 @@ def _fill_gaps(grade: str, absent: Sequence[str]) -> Iterator[Typical]:
 
 @lru_cache
 def find_typical(grade: str, triad: str, sought: str) -> tuple[Typical, ...]:
-    """Return what is typical of a class for a figure by its name on datasheets; nothing if no unit has it.
+    """Return the typical value of a class for a datasheet parameter; nothing if no IMU of the class has one.
 
     Of several figures with this name the one that most units have counts. A bias instability comes with its
     correlation time.

@@ -1,4 +1,4 @@
-"""The answer of the study of units: sentences, tables, and pictures with names on their dots."""
+"""Answer of the study of IMUs: sentences, tables, and figures with labeled dots."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Answer:
 
     @property
     def undecided(self) -> bool:
-        """Return whether a cheaper class may meet the limits, or none is shown to and not all miss them."""
+        """Return whether a cheaper class may meet the limits, or no class is shown to meet or miss them."""
         none = self.ranking.recommended is None and not self.missed
         return none or bool(self.ranking.list_undecided())
 
@@ -68,7 +68,7 @@ class Answer:
 
 
 def tell_answer(answer: Answer, units: Mapping[str, CatalogImu]) -> Iterator[str]:
-    """Yield the answer in sentences: what to buy, what it rests on, what limits, what is not usable."""
+    """Yield the answer in sentences: recommendation, reasons, limits, and unusable IMUs."""
     ranking = answer.ranking
     yield from _tell_required(answer) if answer.required else ()
     yield f"{answer.where}, {answer.what}, cheapest class first: {'; '.join(_tell_steps(ranking))}."
@@ -152,7 +152,7 @@ def _tell_required(answer: Answer) -> Iterator[str]:
 
 
 def find_margin(one: UnitFlown, required: Sequence[Mapping[str, Any]], metric: str) -> float | None:
-    """Return the limit over the quantile of the runs that has to keep it; None if that is no limit."""
+    """Return the margin: the limit over the quantile that must meet it; None without a limit."""
     for row in required:
         if row["metric"] == metric and "most" in row and not one.lost:
             return float(row["most"]) / estimate_quantile(one.values, float(row["share"])).value
@@ -160,7 +160,7 @@ def find_margin(one: UnitFlown, required: Sequence[Mapping[str, Any]], metric: s
 
 
 def _tell_gaps(answer: Answer, units: Mapping[str, CatalogImu]) -> Iterator[str]:
-    """Yield whether what no source states decides the answer."""
+    """Yield whether values that no source states decide the answer."""
     first, second = (_name_choice(one) for one in (answer.ranking, answer.bare))
     filled = [name for name in answer.ranking.flown if units[name].typical]
     if not filled:
@@ -178,7 +178,7 @@ def _tell_gaps(answer: Answer, units: Mapping[str, CatalogImu]) -> Iterator[str]
 
 
 def _name_choice(ranking: Ranking) -> str:
-    """Return the units that a ranking puts first: that which meets what is required, and the front."""
+    """Return the best units of a ranking: the unit that meets the requirements, and the front."""
     asked = any(one.findings for one in ranking.flown.values())
     if asked:
         return ranking.recommended.best.unit if ranking.recommended else "no unit"
@@ -191,7 +191,7 @@ def _name_choice(ranking: Ranking) -> str:
 def fill_tables(
     answers: Sequence[Answer], units: Mapping[str, CatalogImu], laws: Mapping[str, float], law_s: float
 ) -> tuple[FindingTable, ...]:
-    """Return the errors of all units, and the figures that no source states of each."""
+    """Return the errors of all IMUs, and the values of each IMU that no source states."""
     rows = []
     for answer in answers:
         for name, one in answer.ranking.flown.items():
@@ -234,7 +234,7 @@ def _fill_gaps(units: Mapping[str, CatalogImu]) -> FindingTable:
 
 
 def draw_units(answer: Answer, units: Mapping[str, CatalogImu]) -> Iterator[Plot]:
-    """Yield the errors over the class, a named dot each with its interval, and the front."""
+    """Yield the figure of the errors by class, a labeled dot with interval for each IMU, and the front."""
     ranking = answer.ranking
     shown = [one for one in ranking.flown.values() if one.rms and one.grade in CLASSES]
     if not shown:

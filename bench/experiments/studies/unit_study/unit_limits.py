@@ -36,7 +36,7 @@ _COSTLY = 1.5  # times the best linear error from which on the filter is what li
 
 @dataclass(frozen=True)
 class VarianceShares:
-    """Shares of a horizontal variance, and how far the filter is from the best linear one."""
+    """Fractions of a horizontal variance by source, and the ratio of the filter to the best linear filter."""
 
     flight: str  # profile
     label: str  # of the filter
@@ -51,7 +51,7 @@ class VarianceShares:
         return "the filter" if self.over_best >= _COSTLY else next(iter(self.shares))
 
     def tell(self, unit: str) -> str:
-        """Return what limits, in words."""
+        """Return the limiting factor in words."""
         parts = [f"{name} {100.0 * share:.0f} %" for name, share in self.shares.items() if share >= 0.005]
         return (
             f"What limits {self.label} with {unit} on {self.flight} at {self.when} is {self.limiting}: "
@@ -61,7 +61,7 @@ class VarianceShares:
 
 
 def find_limit(flight: UnitFlight) -> VarianceShares | None:
-    """Return what limits the filter of a flight at the end of its longest outage, or of the flight.
+    """Return the limiting factor of a flight, at the end of its longest outage or of the flight.
 
     None if flight or filter have no linear model: other aiding, faults, a start that is not given.
     """

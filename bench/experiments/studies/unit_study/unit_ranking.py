@@ -1,4 +1,4 @@
-"""Which unit of which class is worth its price on one flight by one filter: by pairs of the same runs.
+"""Ranking of IMUs and classes on one flight with one filter, by pairs of the same runs.
 
 From the cheapest class on, the best unit of a class is held against the best of the classes below. A unit
 that lost a run is not usable and takes no part; one that no run tells from the best of its class stands
@@ -39,7 +39,7 @@ class UnitFlown:
 
     @property
     def rms(self) -> Estimate | None:
-        """Return the root mean square over the converged runs, with its interval; None of fewer than two."""
+        """Return the RMS over the converged runs with its interval; None for fewer than two runs."""
         known = self.values[~np.isnan(self.values)]
         return pool_rmse(np.square(known)) if len(known) >= _LEAST else None
 
@@ -61,7 +61,7 @@ class UnitFlown:
 
 @dataclass(frozen=True)
 class ClassStep:
-    """A class of units: the best in it, and what it buys over the classes below."""
+    """A class of IMUs: its best IMU, and the gain over the cheaper classes."""
 
     grade: str
     best: UnitFlown
@@ -76,7 +76,7 @@ class ClassStep:
 
 @dataclass(frozen=True)
 class Ranking:
-    """The classes from cheap to dear, on one flight by one filter."""
+    """The classes from cheap to expensive, on one flight with one filter."""
 
     steps: tuple[ClassStep, ...]
     flown: Mapping[str, UnitFlown] = field(default_factory=dict)  # by unit
@@ -89,12 +89,12 @@ class Ranking:
 
     @property
     def recommended(self) -> ClassStep | None:
-        """The cheapest class with a unit that is shown to meet what is required; None: none does."""
+        """The cheapest class with an IMU that is shown to meet the requirements; None without one."""
         return next((step for step in self.steps if step.best.verdict == MET), None)
 
     @property
     def spread(self) -> float:
-        """The largest over the smallest error of usable units; infinite of fewer than two."""
+        """Ratio of the largest to the smallest error of usable units; infinite for fewer than two."""
         found = [one.rms.value for one in self.flown.values() if not one.lost and one.rms]
         return max(found) / min(found) if len(found) > 1 and min(found) > 0.0 else math.inf
 
@@ -105,7 +105,7 @@ class Ranking:
         return [pair for pair in pairs if pair.word == "undecided"]
 
     def list_undecided(self) -> list[UnitFlown]:
-        """Return the units that may meet what is required, of classes below the cheapest that does."""
+        """Return the IMUs that may meet the requirements, of classes cheaper than the cheapest that does."""
         found = self.recommended
         top = len(CLASSES) if found is None else CLASSES.index(found.grade)
         return [
@@ -116,7 +116,7 @@ class Ranking:
 
 
 def rank_units(flown: Sequence[UnitFlown], error: float) -> Ranking:
-    """Return the best of each class, and which classes pay.
+    """Return the best IMU of each class, and the classes that are better than cheaper ones.
 
     Parameters
     ----------
@@ -143,7 +143,7 @@ def rank_units(flown: Sequence[UnitFlown], error: float) -> Ranking:
 
 
 def _are_alike(flown: Sequence[UnitFlown], error: float) -> bool:
-    """Return whether no usable unit may err by more than `SAME` over the best: the ends of the ratios."""
+    """Return whether all usable IMUs have errors within `SAME` of the best, by the ends of the ratios."""
     usable = sorted((one for one in flown if not one.lost and len(one.values) >= _LEAST), key=_measure)
     ratios = [_compare(one, usable[0], error / len(usable)).ratio for one in usable[1:]]
     return bool(ratios) and all(one.high <= 1.0 + SAME for one in ratios)

@@ -82,14 +82,14 @@ class Options(FlightOptions):
 
 
 class UnitCase(NamedTuple):
-    """A unit with its gaps as typical of its class, or as zero."""
+    """An IMU with its gaps filled by typical values of its class, or by zero."""
 
     unit: str
     filled: bool
 
 
 def run(options: Options, work: StudyWorkers) -> Findings:
-    """Return which class is enough on each flight for each filter, and what limits there."""
+    """Return the sufficient class and the limiting factor for each flight and filter."""
     if options.metric is not None and not is_metric(options.metric):
         raise ConfigError(f"study sensors: metric: {options.metric!r} is unknown; bench list metrics")
     units = find_units("sensors", options.units)
@@ -138,7 +138,7 @@ def _plan(
 def answer(
     options: Options, units: Mapping[str, CatalogImu], profile: str, work: StudyWorkers
 ) -> Iterator[Answer]:
-    """Fly a profile until nothing is undecided that more runs would decide; yield an answer by filter."""
+    """Fly a profile until more runs would decide nothing; yield an answer for each filter."""
     cases = _list_cases(units)
     flights = _Flights(options, units, profile, work)
     again = set(units)
@@ -151,7 +151,7 @@ def answer(
 
 
 def list_open(ranking: Ranking, most: int) -> Iterator[str]:
-    """Yield the units that more runs may decide: of a pair the one with fewer, or both."""
+    """Yield the IMUs for which more runs may decide: in a pair the IMU with fewer runs, or both."""
     for pair in ranking.list_open():
         if pair.deciding is not None and pair.deciding <= _FAR * most:
             for name in (pair.first, pair.second):
@@ -168,7 +168,7 @@ def _find_limits(
     ranking: Ranking,
     work: StudyWorkers,
 ) -> Iterator[tuple[str, VarianceShares]]:
-    """Yield what limits with the cheapest unit that is good enough, and with the best."""
+    """Yield the limiting factor with the cheapest sufficient IMU, and with the best IMU."""
     front = ranking.front
     if not front:
         return
@@ -201,7 +201,7 @@ class _Flights:
         return list(dict.fromkeys(label for label, _ in self._rows))
 
     def fly(self, cases: Sequence[UnitCase]) -> bool:
-        """Fly units first, or as many runs again as they have, up to the most; return if any flew."""
+        """Fly the first runs of IMUs, or double their runs up to the limit; return whether any flew."""
         flown, begun = False, dict[int, list[UnitCase]]()
         for case in cases:
             known = next((len(rows) for (_, one), rows in self._rows.items() if one == case), 0)
@@ -228,7 +228,7 @@ class _Flights:
         return Looks(self._options.runs, most)
 
     def required(self, label: str) -> list[Mapping[str, Any]]:
-        """Return what the profile and the command require of a filter."""
+        """Return the requirements of the profile and the command on a filter."""
         rows = list_requirements(self._document, label)
         if self._options.most is not None:
             rows.append({"metric": self.metric(label), "most": self._options.most, "share": 0.95})
