@@ -347,7 +347,7 @@ def evaluate(
 def _read_profile(
     profile: str | Path | Profile, seed: int | None, overrides: Mapping[str, Any] | None
 ) -> Profile:
-    """Read a profile of which no filter is run."""
+    """Read a profile without checks of its filters, which are not run."""
     if not isinstance(profile, Profile):
         return read_profile(profile, overrides, seed, allow_code=True)
     if seed is not None or overrides is not None:

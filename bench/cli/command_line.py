@@ -97,7 +97,7 @@ def _run(arguments: Sequence[str] | None, interrupted: threading.Event) -> int:
 
 
 def _raise_again(event: Any, hook: Callable[[Any], object]) -> None:
-    """Interrupt the main thread again if that came where Python drops exceptions, as in ``__del__``."""
+    """Interrupt the main thread again if Python dropped the interrupt, as in ``__del__``."""
     if issubclass(event.exc_type, KeyboardInterrupt):
         main_thread = threading.main_thread().ident or 0
         threading.Timer(0.01, signal.pthread_kill, (main_thread, signal.SIGINT)).start()

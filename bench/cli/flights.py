@@ -117,7 +117,7 @@ def fly(profile: str, **options: Any) -> int:
 
 
 class _Shelf(click.Choice[str]):
-    """Choice of a shelf of `bench list`; the error for the name of a catalog entry names its shelf."""
+    """Choice of a kind of `bench list`; the error for the name of a catalog entry names its kind."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         if value == "filters":

@@ -55,10 +55,10 @@ def parse_assignments(ctx: click.Context, param: click.Parameter, given: tuple[s
 
 
 class FiniteRange(click.FloatRange):
-    """A range of numbers; nan and inf are none of it."""
+    """A range of finite numbers."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Return the number, or end with what is wrong with it."""
+        """Return the number, or fail with the reason why it is invalid."""
         number = super().convert(value, param, ctx)
         if not math.isfinite(number):
             self.fail(f"{value} is not a finite number.", param, ctx)
@@ -100,7 +100,7 @@ FILE = click.Path(path_type=Path)
 
 
 def out_option(what: str, metavar: str = "DIR") -> Decorator:
-    """Return the option -o: the file or folder a verb writes."""
+    """Return the option -o for the file or folder that a verb writes."""
     return click.option("-o", "--out", type=FILE, metavar=metavar, help=what)
 
 
@@ -155,7 +155,7 @@ def make_guard(given: dict[str, Any]) -> Any:
 
 
 def guard_options(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Add what filters that are not built in may take; the verb gets it as ``guard``."""
+    """Add the options for the limits of user filters; the verb gets them as ``guard``."""
 
     @functools.wraps(function)
     def run(**given: Any) -> Any:
@@ -214,7 +214,7 @@ class _Verbs(click.Group):
         return sorted([*super().list_commands(ctx), *find_own("verbs")])
 
     def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
-        """Return a verb; None if there is none of this name."""
+        """Return a verb; None if no verb has this name."""
         own = super().get_command(ctx, name)
         if own is not None:
             return own
@@ -231,7 +231,7 @@ class _Verbs(click.Group):
         return found
 
     def format_help(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write all verbs on one screen, in groups, and names and packages of others."""
+        """Write all verbs on one screen in groups, and the verbs of installed packages."""
         formatter.write("Usage: bench COMMAND [OPTIONS]   Test INS/GNSS filters against a known truth\n\n")
         for heading, names in _GROUPS.items():
             for k, name in enumerate(names):

@@ -181,7 +181,7 @@ def _hold(
 
 
 def _describe_scene(profile: Profile) -> dict[str, Any]:
-    """Return what pictures need besides the records: the aircraft, what its antenna sees, the runway."""
+    """Return the data of figures besides the records: aircraft, view of the antenna, runway."""
     gnss, flight = profile.sensors.gnss, profile.flight
     runway = flight.runway if isinstance(flight, FlightSpec) else None
     mask = None if gnss is None or gnss.sky is None else degrees(gnss.sky.antenna_mask)

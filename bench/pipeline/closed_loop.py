@@ -1,4 +1,4 @@
-"""Closed loop of navigation and guidance: a flight by an estimate, and the estimate that flew it.
+"""Closed loop of navigation and guidance: a flight guided by an estimate, and this estimate.
 
 The flight gives its truth piece by piece. The sensors measure each piece, the filter processes the arrived
 data, and guidance uses its answer (`guidance.belief`). Sensors and filter are the same as in a recorded
@@ -52,7 +52,7 @@ Watch = Callable[[Trajectory], object] | None
 
 @dataclass(frozen=True, slots=True)
 class ClosedFlight:
-    """Result of a flight by an estimate."""
+    """Result of a flight guided by an estimate."""
 
     truth: Trajectory
     answers: NavSolution  # that steered, in real time: by what had arrived
@@ -68,13 +68,13 @@ class ServedFlight:
 
 
 class Deliveries:
-    """Rows of sensors on their way: measured, and not yet arrived."""
+    """Sensor rows that are measured but have not yet arrived."""
 
     def __init__(self) -> None:
         self._waiting: dict[str, Any] = {}
 
     def take(self, measured: SensorData, until: float) -> SensorData:
-        """Return a piece as a filter takes it: samples, and all that has arrived until a time [s]."""
+        """Return the input of a filter: IMU samples, and the measurements that arrived until a time [s]."""
         come: dict[str, Any] = {}
         for name, record in aiding_records(measured).items():
             before = self._waiting.pop(name, None)
@@ -90,10 +90,10 @@ class Deliveries:
 
 
 class Navigator(Protocol):
-    """Source of the estimate that flies the aircraft: a filter on board, or a connected client."""
+    """Source of the estimate that guides the aircraft: a filter on board, or a connected client."""
 
     def answer(self, data: SensorData, initial: InitialState, end: float) -> NavSolution:
-        """Take what has arrived until a time [s] and return the answer at it."""
+        """Process the data that arrived until a time [s], and return the estimate at this time."""
         ...
 
     def recount(self) -> list[NavSolution]:
@@ -102,7 +102,7 @@ class Navigator(Protocol):
 
 
 class Client(Navigator, Protocol):
-    """A navigator on its line."""
+    """A connected client as navigator."""
 
     estimates: int  # that it gave
     ended: str  # why its session was ended, in words
@@ -134,7 +134,7 @@ class _FilterOnBoard:
 
 
 class Pilot:
-    """Gives a navigator the pieces of a flight and asks it where the aircraft is.
+    """Loop that passes the pieces of a flight to a navigator and asks for its estimate.
 
     Parameters
     ----------
@@ -153,7 +153,7 @@ class Pilot:
         self.t = 0.0
 
     def answer(self, measured: SensedPiece, end: float) -> NavSolution | None:
-        """Take the next piece and return the answer at its end [s]; None if the filter has none."""
+        """Process the next piece and return the estimate at its end [s]; None if the filter has none."""
         self.t = end
         data = self._deliveries.take(measured.data, end)
         if self._died is not None:
@@ -170,7 +170,7 @@ class Pilot:
         return found if known and np.isfinite(found.q_nb[0]).all() else None
 
     def _end(self, error: Exception) -> None:
-        """Keep why the filter has ended, and where in its code if that is a bug."""
+        """Store the reason why the filter ended, with the traceback if it is a bug."""
         use, t = self._use, self.t
         if not isinstance(error, EstimatorError | EstimatorFailedError):
             failure = make_failure(use, "the filter that flies", error)
@@ -182,7 +182,7 @@ class Pilot:
         self.events += [(t, t, FAILED, said), *((t, t, kind, text) for _, _, kind, text, *_ in places)]
 
     def collect(self) -> NavSolution:
-        """Return all answers as one solution.
+        """Return all estimates as one solution.
 
         Raises
         ------
@@ -233,7 +233,7 @@ def fly(
 def serve(
     profile: Profile, run: int, session: Client, commands: Commands | None, watch: Watch = None
 ) -> ServedFlight:
-    """Fly a profile with guidance that uses the answers of a client; errors as for :func:`fly`.
+    """Fly a profile with guidance by the estimates of a client; errors as for :func:`fly`.
 
     With ``commands`` the legs are left out: the client flies. Without any estimate there are no answers.
     ``watch`` is given each piece of the truth before it is sensed.
@@ -250,7 +250,7 @@ def serve(
 
 
 def check_legs(profile: Profile) -> None:
-    """Fly legs that have to fit a duration by the truth: by an estimate they need about as long.
+    """Fly legs with a fixed duration by the truth; with an estimate they take about as long.
 
     Raises
     ------
@@ -265,7 +265,7 @@ def check_legs(profile: Profile) -> None:
 
 
 def find_length(profile: Profile) -> float:
-    """Return how long commands fly a profile [s].
+    """Return the duration for which commands fly a profile [s].
 
     Raises
     ------
@@ -305,7 +305,7 @@ def _fly(
 
 
 def replay(profile: Profile, truth: Trajectory, run: int = 0) -> NavSolution:
-    """Return the answers that steered, from the truth that they flew."""
+    """Return the solution that guided a flight, computed again from the truth of this flight."""
     guidance = profile.guidance
     assert guidance is not None
     pilot = Pilot(guidance.navigation.use, _FilterOnBoard(guidance))
@@ -349,7 +349,7 @@ def _follow(
 
 
 def _tell_height(belief: Belief, data: SensorData, piece: Trajectory, on_board: SensorsSpec) -> None:
-    """Pass on what the radar altimeter has measured last, as an error of the height above ground."""
+    """Pass on the last measurement of the radar altimeter, as an error of the height above ground."""
     radar = data.radar
     if radar is None or not len(radar.t):
         return
@@ -363,7 +363,7 @@ def _tell_height(belief: Belief, data: SensorData, piece: Trajectory, on_board: 
 
 
 def cut_truth(truth: Trajectory, seconds: float) -> Iterator[Trajectory]:
-    """Yield a truth in pieces of so many seconds, as the flight gave it."""
+    """Yield a truth in pieces of a length [s], as during the flight."""
     rate = round(1.0 / (truth.t[1] - truth.t[0]))
     step, begun = round(seconds * rate), 0
     for first in range(0, len(truth.t) - 1, step):

@@ -280,7 +280,7 @@ def _navigate(log: RecordedLog, outages: Sequence[float] | None, places: int, st
 
 
 def _check_needs(log: RecordedLog, data: SensorData) -> None:
-    """Raise EstimatorError where a record is missing that a filter needs; instruments are checked before."""
+    """Raise EstimatorError if a record is missing that a filter needs; instruments are checked before."""
     present = {name for name in estimator.RECORDS if getattr(data, name) is not None}
     place = ": ".join(filter(None, [log.spec.name, log.records.no_ranges]))
     for label, one in log.estimators.items():
@@ -288,7 +288,7 @@ def _check_needs(log: RecordedLog, data: SensorData) -> None:
 
 
 def _find_start(log: RecordedLog) -> InitialState:
-    """Return the initial state; by the heading of the autopilot's estimate if the log asks for it."""
+    """Return the initial state, with the heading of the autopilot if the log requests it."""
     own = None
     if log.spec.start.heading_from == AUTOPILOT:
         own = own_estimate.build(AUTOPILOT, log.spec.imu, log.records.origin).attitude
@@ -321,7 +321,7 @@ class Session:
         self.observations = self._cut_observations()
 
     def _cut_observations(self) -> GnssObservations | None:
-        """Return the satellites of the epochs after the start, until the end."""
+        """Return the satellite observations of the epochs between start and end."""
         o = self.recorded.observations
         if o is None:
             return None
@@ -329,7 +329,7 @@ class Session:
         return take_rows(o, np.asarray(begun & (o.t <= self.last)))
 
     def _keep_observations(self, keep: BoolArray, outage: tuple[float, float]) -> GnssObservations | None:
-        """Return the satellites that filters get: an epoch goes with the first fix at its time or later."""
+        """Return the satellite observations for filters: an epoch belongs to the first fix not before it."""
         o = self.observations
         if o is None:
             return None
@@ -375,7 +375,7 @@ class Session:
         )
 
     def choose_cuts(self, most: int) -> dict[float, int]:
-        """Return the lengths [s] of outages for which the recording has room, and at how many places.
+        """Return the lengths [s] of outages that fit into the recording, and the number of places of each.
 
         At ``most``, and no more than have room beside each other: cuts that overlap tell the same twice.
         """

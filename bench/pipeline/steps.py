@@ -59,7 +59,7 @@ def fly(
 
 
 def fly_over(profile: Profile, progress: Callable[[float], None] | None = None) -> dict[str, Any]:
-    """Fly a profile, store its truth in the cache, and return its figures.
+    """Fly a profile, store its truth in the cache, and return a summary of the flight.
 
     Those of `flight.Summary` and `bench.evaluation.errors.replay`, piece by piece. Errors as for :func:`fly`.
     """
@@ -113,7 +113,7 @@ def fly_run(
     stages: Stages,
     show: ShowFlight | None,
 ) -> tuple[Trajectory, NavSolution | None]:
-    """Return the truth of a run, and the answers that steered it; ``given`` is what is there of both.
+    """Return the truth of a run, and the solution that guided it; ``given`` has those already known.
 
     Raises
     ------
@@ -152,7 +152,7 @@ def check_times(profile: Profile, end: float) -> None:
 
 
 def find_truth_key(profile: Profile, run: int = 0) -> str:
-    """Return a hash of all that a truth follows from: the flight and, where one flies it, the estimate."""
+    """Return a hash of all inputs of a truth: the flight and, if an estimate guides it, the estimate."""
     guidance = profile.guidance
     if guidance is None:
         return results.truth_key(profile.flight)
@@ -188,7 +188,7 @@ def build_estimator(choice: EstimatorChoice) -> estimator.Estimator:
 
 
 def build_estimators(profile: Profile) -> dict[str, estimator.Estimator]:
-    """Build the filters of a profile by label, and check that its sensors give what they need.
+    """Build the filters of a profile by label, and check that the sensors provide the required records.
 
     Raises
     ------
@@ -232,7 +232,7 @@ def navigate_all(
     stages: Stages,
     also: Callable[[str, NavSolution], object] = lambda label, solution: None,
 ) -> Navigated:
-    """Run the filters one after the other; a filter that raises an exception, or cannot start, has failed.
+    """Run the filters one after the other; a filter that raises an exception or cannot start has failed.
 
     ``also`` is called with each solution, and may raise as a filter does.
 
@@ -262,7 +262,7 @@ def navigate_all(
 
 
 def collect_printed(built: Mapping[str, estimator.Estimator]) -> dict[str, str]:
-    """Return by label what filters in processes of their own have printed; nothing of those that did not."""
+    """Return the printed output of filters in separate processes by label, without empty outputs."""
     texts = {label: getattr(one, "printed", "") for label, one in built.items()}
     return {label: text for label, text in texts.items() if text}
 
@@ -273,7 +273,7 @@ def read_work_clock() -> float:
 
 
 def _read_cpu_clock() -> float:
-    """Return the work of this process and the CPU time of the programs that it has run to their end [s]."""
+    """Return the CPU time of this process without compilations, plus that of finished child programs [s]."""
     return read_work_clock() + sum(os.times()[2:4])
 
 
@@ -302,7 +302,7 @@ def _list_facts(profile: Profile) -> dict[str, Any]:
 def evaluate(
     profile: Profile, truth: Trajectory, sensed: Sensed, answers: Navigated, steered: NavSolution | None
 ) -> tuple[dict[str, Judged], OffPath | None]:
-    """Evaluate all solutions by the truth; what ``steered`` is added, and evaluated by its path, too."""
+    """Evaluate all solutions by the truth; add the solution that ``steered``, with its path errors."""
     path = None
     if steered is not None:
         from bench.simulation.flight.guidance.desired_path import measure_steered
@@ -358,7 +358,7 @@ def explain(
     causes: bool | None,
     stages: Stages,
 ) -> Judged:
-    """Find out why a covariance is broken; return other verdicts unchanged."""
+    """Search for the causes of an inconsistent covariance; return other verdicts unchanged."""
     from bench.evaluation.causes.explaining import DrawnRun, explain_run
     from bench.evaluation.consistency.verdict import BROKEN
     from bench.evaluation.conventions.convention_search import find_mistakes
@@ -377,7 +377,7 @@ def explain(
 
 
 def _is_searched(choice: EstimatorChoice, causes: bool | None) -> bool:
-    """Return whether a filter runs again to find out why its covariance is broken; one from a file cannot."""
+    """Return whether the causes of an inconsistent filter are searched, which needs runs of the filter."""
     asked = choice.use in built_in.BUILT_IN if causes is None else causes
     return asked and not choice.use.startswith("file:")
 

@@ -1,1 +1,1 @@
-"""Parts of bench that the core reaches by entry points alone."""
+"""Parts of bench that the core uses only through entry points."""

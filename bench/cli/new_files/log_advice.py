@@ -1,4 +1,4 @@
-"""Apply the advice of the checks of a log: its keys are changed, and kept only if more checks pass then."""
+"""Apply the advice of the checks to the keys of a log; keep the change only if more checks pass."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _ROUNDS = 3  # a second mistake may show only after the first is gone
 
 
 def apply_advice(name: str, console: Console, **log_options: Any) -> log_pipeline.RecordedLog:
-    """Change a log as its checks advise, and return it as it is read then.
+    """Change a log as its checks advise, and return the log read again.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Choose how the filters of a recording start, and where it is evaluated: what bench new log writes."""
+"""Choice of the start and the evaluated part of a recording, for `bench new log`."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class ChosenStart:
 
 
 def choose_start(spec: LogSpec, records: LogRecords) -> ChosenStart | None:
-    """Return a start that the record allows: at rest, else in steady flight; None if there is none.
+    """Return a possible start of a record: at rest, else in steady flight; None if there is none.
 
     It lies in the longest segment that the IMU covers without a gap. The heading is that of the magnetometer;
     without one it is unknown, and several are tried until motion shows which is right.
@@ -80,7 +80,7 @@ def _find_covered(records: LogRecords) -> tuple[float, float]:
 
 
 def find_impact(records: LogRecords) -> float | None:
-    """Return a second before the IMU tumbles and lies still for good [s]; None if that does not happen.
+    """Return the time one second before the IMU tumbles and then lies still [s]; None without such an impact.
 
     That it lies still say fixes with velocities, or the record ends there.
     """
@@ -97,7 +97,7 @@ def find_impact(records: LogRecords) -> float | None:
 
 
 def _holds(spec: LogSpec, records: LogRecords, kind: str, at: float, duration: float, heading: str) -> bool:
-    """Return whether the filters can start so."""
+    """Return whether the filters can start in this way."""
     start = StartSpec(
         alignment=kind,
         at=at,

@@ -103,6 +103,6 @@ def write_log(
 
 
 def _list_columns(key: str, columns: Mapping[str, str]) -> list[str]:
-    """Return the line of a key with the columns that have other names in the file; none if all have ours."""
+    """Return the line of a key that maps columns with other names in the file; no line if none differ."""
     aliases = [f"{ours} = {quote_toml(theirs)}" for ours, theirs in columns.items() if ours != theirs]
     return [f"{key} = {{ {', '.join(aliases)} }}"] if aliases else []

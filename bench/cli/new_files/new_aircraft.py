@@ -1,4 +1,4 @@
-"""The verb new aircraft: gains of an aircraft of others, accepted by a flight or not written at all."""
+"""The verb new aircraft: gains of a foreign aircraft, written only if an acceptance flight succeeds."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ SWING_BAND = math.radians(0.5)
 
 @dataclass(frozen=True, slots=True)
 class Acceptance:
-    """Largest departures of the acceptance flight."""
+    """Largest deviations of the acceptance flight."""
 
     bank: float  # [rad]
     height: float  # [m]
@@ -64,7 +64,7 @@ class Acceptance:
     swing: float  # of bank and pitch at the end of 30 s straight, sd [rad]
 
     def failures(self) -> list[str]:
-        """Return what is outside its band, in words."""
+        """Return the deviations outside their limits in words."""
         rows = (
             (self.bank > BANK_BAND, f"bank {math.degrees(self.bank):.1f} deg off"),
             (self.height > HEIGHT_BAND, f"height {self.height:.0f} m off"),
@@ -79,7 +79,7 @@ class Acceptance:
         return f"{self.load[0]:.2f} to {self.load[1]:.2f}"
 
     def describe(self) -> str:
-        """Return the departures in words."""
+        """Return the deviations in words."""
         return (
             f"bank within {math.degrees(self.bank):.1f} deg, height {self.height:.1f} m, airspeed "
             f"{100 * self.speed:.1f} %, load {self.describe_load()}, swing {math.degrees(self.swing):.2f} deg"
@@ -147,7 +147,7 @@ def _find_own(folder: Path) -> tuple[AircraftSpec, Path, str]:
 
 
 def _make_raw(folder: Path, root: Path) -> AircraftSpec:
-    """Return an aircraft that nothing is known of, with engines and systems of a JSBSim root."""
+    """Return an aircraft without known limits, with engines and systems of a JSBSim root."""
     return replace(
         read_jsbsim_aircraft(_PATTERN, None, Path()),
         name=folder.name,
@@ -162,7 +162,7 @@ def _make_raw(folder: Path, root: Path) -> AircraftSpec:
 def find_design(
     raw: AircraftSpec, tell: Callable[[str], object] = lambda text: None
 ) -> tuple[GainDesign, Acceptance, AircraftSpec]:
-    """Return the first design of an aircraft that is accepted, and the aircraft with it.
+    """Return the first accepted design of an aircraft, and the aircraft with this design.
 
     ``tell`` is called with the reason of each that is not. What no design can change ends the search.
     """
@@ -192,7 +192,7 @@ def find_design(
 
 
 def run_in_child(name: str, done: str, work: Callable[..., _Result], *arguments: Any) -> _Result:
-    """Return what a call that a model may end or never come back from returns."""
+    """Return the result of a call in a child process, because a model may crash or hang it."""
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
         answer, spent, used = pool.submit(work, *arguments), 0.0, 0.0
         (child,) = pool._processes.values()
@@ -237,7 +237,7 @@ def _fly(aircraft: AircraftSpec, design: GainDesign) -> Trajectory:
 
 
 def measure_acceptance(truth: Trajectory, design: GainDesign) -> Acceptance:
-    """Return the largest departures of the acceptance flight from what its legs ask for."""
+    """Return the largest deviations of the acceptance flight from the commands of its legs."""
     roll, pitch, _ = to_euler(truth.q_nb)
     alt, air = truth.lla[:, 2], truth.air
     load = -truth.dvel_b[:, 2] / np.diff(truth.t) / STANDARD_GRAVITY

@@ -204,7 +204,7 @@ def new_schemas(*, console: Console) -> None:
 
 
 def _write_all(texts: Mapping[Path, str], finish: Callable[[], object] = lambda: None) -> None:
-    """Write new files and finish what needs them; if anything fails, none of the files is left."""
+    """Write new files and run a step that needs them; if anything fails, remove all files."""
     written: list[Path] = []
     try:
         for path, text in texts.items():

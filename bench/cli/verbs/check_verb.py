@@ -100,7 +100,7 @@ def check(
 
 @contextlib.contextmanager
 def _show_runs(console: Console) -> Iterator[Progress]:
-    """Provide a function that shows the current run of a profile, and prints what has no end: a remark."""
+    """Provide a function that shows the current run of a profile, and prints remarks."""
     with PlainConsole(stderr=True).status("") as status:
 
         def show(now: Stage) -> None:
@@ -144,7 +144,7 @@ def print_verdicts(console: Console, verdicts: Sequence[Verdict]) -> None:
 
 
 def _count_profiles(verdicts: Sequence[Verdict], profiles: Sequence[str]) -> str:
-    """Return on how many profiles or logs anything is worse, better or undecided, with the names."""
+    """Return the numbers and names of the profiles or logs with a worse, better or undecided metric."""
     parts = []
     for word in ("worse", "better", "undecided"):
         names = list(dict.fromkeys(row.profile for row in verdicts if row.word == word))
@@ -159,7 +159,7 @@ def _count_profiles(verdicts: Sequence[Verdict], profiles: Sequence[str]) -> str
 def tabulate_verdicts(
     rows: Sequence[Verdict], title: str = "", heads: tuple[str, str] = ("before", "now")
 ) -> FindingTable:
-    """Return a table of verdicts; one run each makes no word."""
+    """Return a table of verdicts; without verdict words for single runs."""
     columns: dict[str, Sequence[Any]] = {
         "metric": [row.metric for row in rows],
         heads[0]: [row.old for row in rows],

@@ -36,7 +36,7 @@ _MAIN = ("pos_rmse_h_m", "pos_rmse_d_m", "vel_rmse_3d_mps", "heading_rmse_deg", 
 def compare(
     folders: Sequence[Path], *, console: Console, out: Path | None, force: bool, whole: bool = False
 ) -> list[Compared]:
-    """Compare the first folder with the others and print it; ``out`` gets all of them as one result.
+    """Compare the first folder with the others and print the comparison; ``out`` gets all as one result.
 
     All key figures are printed of the ``whole``, else the main ones.
     """

@@ -1,4 +1,4 @@
-"""The terminal: the one door through which verbs print, which lets no control characters pass."""
+"""The terminal: all verbs print through this console, which removes control characters."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class PlainConsole(Console):
 
 @contextlib.contextmanager
 def show_bar(waiting: str, *, timed: bool = False) -> Iterator[Callable[..., None]]:
-    """Provide a function that shows on a terminal what goes on, how much is done, of how much, and a text.
+    """Provide a function that shows the progress on a terminal: activity, amount done, total, and a text.
 
     Elsewhere it shows nothing. If it is ``timed``, the time since the begin stands in the place of the text.
     """

@@ -72,7 +72,7 @@ def run(
 
 @contextlib.contextmanager
 def write_first(console: Console, result: RunResult, folder: Path, **options: Any) -> Iterator[None]:
-    """Write a result before what is printed about it, which is printed even where it cannot be written.
+    """Write a result before it is printed; print it also if it cannot be written.
 
     ``options`` are those of `bench.write_result`.
     """
@@ -95,7 +95,7 @@ def write_first(console: Console, result: RunResult, folder: Path, **options: An
 def describe_run(
     name: str, document: Mapping[str, Any], seed: int, draw: int, evaluation: EvaluationWindow
 ) -> str:
-    """Return the three lines that a run begins with: the flight, the sensors, and the noise and errors."""
+    """Return the three first lines of a run: the flight, the sensors, and the noise and errors."""
     sensors = [
         f"{_KINDS.get(kind, kind)} {one}" for kind, one in document["sensors"].items() if kind in KINDS
     ]
@@ -129,7 +129,7 @@ def print_result(console: Console, result: RunResult, *, table: bool) -> None:
 
 
 def print_end(console: Console, folder: Path, begun: float | None = None, *, table: bool = True) -> None:
-    """Print the folder of the results, how long they took, and the next commands."""
+    """Print the folder of the results, the time they took, and the next commands."""
     console.print()
     for path in sorted(folder.glob(results.PRINTED.format("*"))):
         console.print(f"Output of a filter: {path}", soft_wrap=True)
@@ -172,7 +172,7 @@ def fly(name: str, *, console: Console, **profile_options: Any) -> None:
 
 
 def look_after_cache(limit: float | None, *, console: Console) -> None:
-    """Reduce the cache of flown truth to a size [GB], if one is given, and print its size."""
+    """Reduce the cache of flown truth to a given size [GB], if any, and print its size."""
     if limit is not None:
         results.trim_cache(int(1e9 * limit))
     cache = results.measure_cache()
@@ -183,6 +183,6 @@ def look_after_cache(limit: float | None, *, console: Console) -> None:
 
 @contextlib.contextmanager
 def show_stages() -> Iterator[Progress]:
-    """Provide a function that shows on a terminal what is going on; elsewhere it shows nothing."""
+    """Provide a function that shows the current activity on a terminal, and nothing elsewhere."""
     with show_bar("starting", timed=True) as show:
         yield lambda stage: show(str(stage), stage.done, stage.total or None)

@@ -77,7 +77,7 @@ def show_topic(topic: str, console: Console) -> None:
 
 
 def _fold_keys(table: re.Match[str]) -> str:
-    """Return a table of keys with limits and defaults behind the meaning, for a narrow screen."""
+    """Return a table of keys with limits and defaults appended to the meaning, for a narrow screen."""
     lines = [f"{table[1]} |", "|---" * (table[1].count("|")) + "|"]
     for row in table[2].splitlines():
         *cells, meaning, allowed, default = row.removeprefix("| ").removesuffix(" |").split(" | ")
@@ -87,13 +87,13 @@ def _fold_keys(table: re.Match[str]) -> str:
 
 
 def _name_topic(link: re.Match[str]) -> str:
-    """Return the words of a link, with the topic behind them if they are not its name."""
+    """Return the words of a link, followed by the topic if the words differ from it."""
     words, topic = link.groups()
     return words if topic in (words, "README") else f"{words} (bench guide {topic})"
 
 
 def _tell_pages(word: str, topics: Iterable[str]) -> str:
-    """Return the end of a message: the pages that mention a word most often; empty if no page does."""
+    """Return a text with the pages that mention a word most often; empty if no page does."""
     sought = re.compile(rf"\b{re.escape(word)}", re.IGNORECASE)
     pages = find_pages()
     counts = {name: len(sought.findall(pages[name].read_text(encoding="utf-8"))) for name in topics}

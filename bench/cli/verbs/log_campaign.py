@@ -1,4 +1,4 @@
-"""The verb campaign over logs: recordings get their logs first, then the study of logs runs."""
+"""The verb campaign over logs: write missing logs of recordings, then run the study of logs."""
 
 from __future__ import annotations
 

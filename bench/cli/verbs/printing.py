@@ -1,4 +1,4 @@
-"""Print what was found, the same way for every verb: its tables, then its sentences.
+"""Print findings in the same way for every verb: tables, then sentences.
 
 A table that is too wide for the console is printed as several, and nothing is cut.
 """

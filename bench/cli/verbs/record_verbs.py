@@ -79,7 +79,7 @@ def navigate_log(
 
 
 def print_log(console: Console, result: RunResult, *, table: bool, cuts: bool = False) -> None:
-    """Print what the filters made of a recording, then the checks of the recording.
+    """Print the results of the filters on a recording, then the checks of the recording.
 
     ``cuts``: outages were simulated if there was room. Without ``table`` only the failed checks are printed,
     and a sentence for each length of the outages.
@@ -120,7 +120,7 @@ MOST_CHECKS = 3
 
 
 def _find_log(name: str, console: Console, rates: str | None) -> str:
-    """Return the log of a recording, which is written if it is not there; a log is its own."""
+    """Return the log of a recording, written if missing; a log file returns itself."""
     path, log = Path(name), name_log(Path(name))
     if path.suffix == ".toml" or not path.exists():
         return name
@@ -267,7 +267,7 @@ def tabulate_allan(curve: AllanCurve) -> FindingTable:
 
 
 def _describe_fit(curve: AllanCurve) -> str:
-    """Return one line with the fitted noise figures of a measured curve, in datasheet units."""
+    """Return one line with the fitted noise parameters of a measured curve, in datasheet units."""
     fit = fit_noise(curve)
     triad = TriadSpec(random_walk=fit["N"], bias_instability=fit["B"], rate_random_walk=fit["K"])
     texts = format_noise_figures(curve.triad, triad)

@@ -50,7 +50,7 @@ def print_flight(console: Console, profile: Profile, summary: Mapping[str, Any])
 
 
 def describe_replay(position: float, attitude: float) -> str:
-    """Return the errors of a replay [m], [rad] in units that read well.
+    """Return the errors of a replay [m], [rad] in words, in suitable units.
 
     Examples
     --------
@@ -181,7 +181,7 @@ def print_catalog(console: Console, kind: str | None = None) -> None:
 
 
 def _print_overview(console: Console) -> None:
-    """Print one row for each kind: how many there are, some names, how one is selected."""
+    """Print one row for each kind: number of entries, some names, and how to select one."""
     rows = []
     for kind, entries in list_catalog().items():
         names = [entry.name for entry in entries]
@@ -217,7 +217,7 @@ def print_sensors(console: Console) -> None:
 
 
 def _print_rows(console: Console, title: str, heads: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """Print a table of words; of one without rows its title."""
+    """Print a table of words; without rows, print only its title."""
     table = make_table("rows", title, heads, rows) if rows else FindingTable("rows", title, {})
     print_table(console, table)
 

@@ -1,4 +1,4 @@
-"""The verb study: progress while it works, then its answer, its tables, and where the files are."""
+"""The verb study: show progress, then the answer, the tables and the folder of the files."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from bench.views.report.writing import write_report
 def run_study(
     name: str, *, console: Console, out: Path | None, report: bool, table: bool = False, **options: Any
 ) -> StudyResult:
-    """Run a study, write its folder if there is one to write, and print its answer."""
+    """Run a study, write its folder if requested, and print its answer."""
     with _show_progress() as progress:
         result = study(name, out=out, progress=progress, **options)
     if out is not None and report:
@@ -76,6 +76,6 @@ def _shorten(table: FindingTable, console: Console) -> tuple[FindingTable, list[
 
 @contextlib.contextmanager
 def _show_progress() -> Iterator[Progress]:
-    """Provide a function that shows how far a study is, on a terminal."""
+    """Provide a function that shows the progress of a study on a terminal."""
     with show_bar("") as show:
         yield lambda now: show(now.words, now.done, now.total, f"{now.done:.0f} of {now.total or 0:.0f}")

@@ -1,4 +1,4 @@
-"""The verb view: start the viewer of the rerun wheel on a recording, and end it."""
+"""The verb view: start the viewer of the rerun wheel with a recording, and end it."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def view(path: Path | None, *, web: bool, console: Console) -> None:
 
 @contextlib.contextmanager
 def show_live(name: str, console: Console) -> Iterator[ShowFlight | None]:
-    """Give what shows the flight of a profile in a viewer, piece by piece; None, and a line why, without one.
+    """Return the function that shows a flight in a viewer piece by piece; print the reason if there is none.
 
     The flight does not wait for the viewer. At the end there is a line if it has not taken all. Its window
     stays until it is closed.
@@ -95,7 +95,7 @@ def show_live(name: str, console: Console) -> Iterator[ShowFlight | None]:
 
 
 def _start_viewer() -> subprocess.Popen[bytes]:
-    """Start a viewer of what it reads from its standard input."""
+    """Start a viewer that shows the data from its standard input."""
     command = [str(find_viewer()), "-", "--port", "auto", "--bind", LOCAL, "--hide-welcome-screen"]
     nowhere = subprocess.DEVNULL
     try:
@@ -107,7 +107,7 @@ def _start_viewer() -> subprocess.Popen[bytes]:
 
 
 class _Feed:
-    """Writes to the standard input of a viewer, in a thread of its own: a viewer may read late or never."""
+    """Writer to the standard input of a viewer, in a thread because a viewer may read late or never."""
 
     def __init__(self, viewer: subprocess.Popen[bytes]) -> None:
         self._viewer = viewer
@@ -117,12 +117,12 @@ class _Feed:
         self._thread.start()
 
     def send(self, data: bytes) -> None:
-        """Let data be written, if anybody reads on."""
+        """Queue data for the viewer, if it still reads."""
         if not self._gone:
             self._parts.put(data)
 
     def close(self, patience: float) -> str:
-        """Wait so long [s] until all is written, and return what is wrong with the viewer, else ""."""
+        """Wait up to a time [s] until all data are written; return the error of the viewer, or ""."""
         self._parts.put(b"")
         self._thread.join(patience)
         if self._thread.is_alive():
@@ -202,7 +202,7 @@ def _end_with_parent() -> None:
 
 
 def free_port(wanted: int) -> int:
-    """Return the wanted port of this machine, or another one if it is in use."""
+    """Return the requested port of this machine, or another port if it is in use."""
     for port in (wanted, 0):
         with socket.socket() as probe, contextlib.suppress(OSError):
             probe.bind((LOCAL, port))

@@ -1,4 +1,4 @@
-"""Serve the page of the viewer and one recording to a browser on this machine, and to nobody else.
+"""Serve the page of the viewer and one recording to a browser on this machine only.
 
 A web site that a browser shows can make its own name lead to 127.0.0.1 and so ask a local server. Such a
 request has the site's name in its header ``Host``; it is rejected.
@@ -70,7 +70,7 @@ class _FileHandler(BaseHTTPRequestHandler):
             shutil.copyfileobj(source, self.wfile)
 
     def _pass_on(self) -> None:
-        """Send what the viewer answers; 503 as long as it has not started."""
+        """Send the response of the viewer; 503 until the viewer has started."""
         viewer = http.client.HTTPConnection(LOCAL, self.inner, timeout=_PATIENCE)
         try:
             viewer.request("GET", self.path)

@@ -181,8 +181,7 @@ def record_baselines(
 
 
 def _name_sources(given: Sequence[str], baselines: Mapping[str, Baseline]) -> dict[str, str]:
-    """Return profiles and logs by name, with the source of the baseline for a bare name; check for
-    clashes."""
+    """Return profiles and logs by name, with the source of the baseline for a bare name; reject clashes."""
     named: dict[str, str] = {}
     for source in given:
         name = get_name(source)

@@ -124,7 +124,7 @@ class GraphSmoother:
         return answers(sensors.output_t, StateLayout(), out, cov, variance, table, told)
 
     def check_sensors(self, specs: AssumedSpecs) -> str:
-        """Return why it takes no fixes of the receiver assumed; "" where they are white.
+        """Return the reason why the filter rejects the assumed receiver; "" if its errors are white.
 
         Averaged over a whole record, errors that last for minutes would leave a covariance ten times too
         small.
@@ -174,7 +174,7 @@ class _Biases:
         self.sd = np.maximum(np.sqrt(self.variance), np.repeat(_LEAST[[3, 2]], 3))
 
     def over(self, dt: float) -> tuple[FloatArray, FloatArray]:
-        """Return the factor by which each decays over a time, and the sd of its new noise (6,)."""
+        """Return the decay factor of each bias over a time, and the sigma of its new noise (6,)."""
         twice = 2.0 * self.decay * dt
         grown = np.where(twice > 0, -np.expm1(-twice) / np.where(twice > 0, twice, 1.0), 1.0)
         new = np.sqrt(self.density * dt * grown)
@@ -203,7 +203,7 @@ class Chain:
         self.gate = InnovationGate(SENSORS, initial.t, options.gate_probability, options.readmit_after_s)
 
     def read_fix(self, t: float, fix: FloatArray, r: FloatArray, w_b: FloatArray) -> list[_Vector]:
-        """Return position and velocity of a fix; there may be no velocity."""
+        """Return position and velocity of a fix, which may have no velocity."""
         p_t, C_tn = self.frame.locate(fix[:3])
         r = np.maximum(r, _LEAST_SD**2)
         found = [_Vector(t, 0, p_t, C_tn, r[:3], w_b)]
@@ -212,7 +212,7 @@ class Chain:
         return found
 
     def solve(self, most: int) -> int:
-        """Fit all nodes; return the number of passes, 0 if the last one still moved them."""
+        """Fit all nodes; return the number of passes, or 0 if the fit did not converge."""
         preintegrated: list[Any] = []
         for k in range(1, most + 1):
             if k <= 2:  # anew with the biases and attitudes of the first pass
@@ -223,7 +223,7 @@ class Chain:
         return 0
 
     def _eliminate(self, preintegrated: list[Any], *, first: bool) -> None:
-        """Go along the chain; ``first``: as a filter that guesses the nodes and tests the fixes."""
+        """Eliminate along the chain; the ``first`` pass is a filter that predicts nodes and tests fixes."""
         self.rows: list[FloatArray] = []
         self.moved = np.zeros((len(self.fixes), 15))  # since the link before was linearized
         r, _, J = self._difference(self.prior, self.states[0])
@@ -285,12 +285,12 @@ class Chain:
         self.bias[k] = self.bias[k] + step[9:]
 
     def _difference(self, start: Any, end: Any) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return the error (9,) that leads from one state to another and its derivatives (9, 9) by theirs."""
+        """Return the error (9,) between two states, and its derivatives (9, 9) with respect to both."""
         by_start, by_end = (np.zeros((9, 9), order="F") for _ in range(2))
         return start.localCoordinates(end, by_start, by_end), by_start, by_end
 
     def preintegrate(self, k: int) -> Any:
-        """Return what the IMU measured from a node on, as over a flat, resting Earth with gravity there."""
+        """Return the IMU measurements after a node, preintegrated over a flat, resting Earth."""
         gtsam, link, state = self.gtsam, self.links[k], self.states[k]
         C_tb, v_t, frame = state.attitude().matrix(), state.velocity(), self.frame
         g_t = frame.gravity(state.position())
@@ -310,7 +310,7 @@ class Chain:
         return measured
 
     def join(self, k: int, measured: Any, Rz: FloatArray, *, first: bool) -> FloatArray:
-        """Return the rows (30, 31) of two nodes: the factor between them, and the prior of the former."""
+        """Return the rows (30, 31) of two nodes: the factor between them, and the prior of the first."""
         F, by_state, by_bias = np.zeros((15, 15)), np.zeros((9, 9), order="F"), np.zeros((9, 6), order="F")
         left, new = self.biases.over(measured.deltaTij())
         mean = 0.5 * (1.0 + left)  # of a bias on the way, over that at the former node
@@ -348,7 +348,7 @@ class Chain:
         return H, one.z - own - C_tb @ arm
 
     def _see(self, k: int, fix: list[_Vector], Rz: FloatArray) -> None:
-        """Show the gate a fix as a whole, a position and, if it has one, a velocity."""
+        """Pass a whole fix to the gate: position and, if any, velocity."""
         if [one.code for one in fix] != [POSITION, VELOCITY]:
             self.gate.see_position()
             return
@@ -358,7 +358,7 @@ class Chain:
         self.gate.see_fix(fix[0].t, y, H @ root @ root.T @ H.T + R, np.diag(R)[:3])
 
     def test(self, one: _Vector, H: FloatArray, y: FloatArray, Rz: FloatArray) -> FloatArray | None:
-        """Note the innovation of a vector of a fix; return the rows (15, 16) before its use, None without.
+        """Log the innovation of a vector of a fix; return its rows (15, 16), or None if it is rejected.
 
         Those of one that is used after rejections have grown for the filter of the first pass, and no other.
         """
@@ -388,7 +388,7 @@ class Chain:
 
 
 def _noise(imu: ImuSpec) -> tuple[float, float]:
-    """Return the densities of the white noise of gyros and accelerometers, none below the least."""
+    """Return the white noise densities of gyros and accelerometers, with a lower limit."""
     return tuple(np.maximum([imu.gyro.random_walk, imu.accel.random_walk], _LEAST[:2]) ** 2)
 
 
@@ -398,6 +398,6 @@ def _triangle(A: FloatArray) -> FloatArray:
 
 
 def _invert_root(P: FloatArray) -> FloatArray:
-    """Return W with W' W = P^-1 of a covariance, found with every deviation 1."""
+    """Return W with W' W = P^-1 of a covariance, computed at unit variances."""
     scale = 1.0 / np.sqrt(np.diag(P))
     return np.asarray(np.linalg.inv(np.linalg.cholesky(P * np.outer(scale, scale))) * scale)

@@ -55,7 +55,7 @@ class ClientSession(ABC):
 
     @abstractmethod
     def answer(self, data: SensorData, initial: InitialState, end: float) -> NavSolution:
-        """Send what has arrived by a time [s] and return the estimate of the client; NaN: none."""
+        """Send the data that arrived by a time [s]; return the estimate of the client, or NaN."""
 
     def recount(self) -> list[NavSolution]:
         """Return an empty list: a client does not report innovations and events."""
@@ -63,7 +63,7 @@ class ClientSession(ABC):
 
     @abstractmethod
     def begin(self) -> None:
-        """Take the first messages of a client that has come."""
+        """Process the first messages of a new client."""
 
     @abstractmethod
     def read(self, data: bytes) -> list[Any]:
@@ -71,15 +71,15 @@ class ClientSession(ABC):
 
     @abstractmethod
     def make_end(self, words: str, *, good: bool, known: bool = True) -> bytes:
-        """Return the last message to a client; ``known`` is False for a client that is turned away."""
+        """Return the last message to a client; ``known`` is False for a rejected client."""
 
     @property
     @abstractmethod
     def inside(self) -> bool:
-        """Return whether a message has begun to arrive and not ended."""
+        """Return whether a message has arrived only in part."""
 
     def wait(self, say: Callable[[str], object]) -> None:
-        """Wait for a client that begins correctly; other clients are sent the reason of their rejection.
+        """Wait for a client with a valid start; send other clients the reason of their rejection.
 
         A client that does not begin keeps the connection until its time is over, or another client connects.
         """
@@ -132,7 +132,7 @@ class ClientSession(ABC):
         return found
 
     def receive_until(self, due: float) -> Any:
-        """Return the next message, None if there is none by ``due``; meanwhile turn away other clients."""
+        """Return the next message, or None if none arrives by ``due``; meanwhile reject other clients."""
         assert self._line is not None
         while not self._come:
             now = time.monotonic()
@@ -150,7 +150,7 @@ class ClientSession(ABC):
         return self._come.pop()
 
     def receive_ready(self) -> list[Any]:
-        """Return the messages that are there at one look, without waiting."""
+        """Return the messages that have arrived, without waiting."""
         assert self._line is not None
         if select.select([self._line], [], [], 0.0)[0]:
             self._read()
@@ -159,7 +159,7 @@ class ClientSession(ABC):
         return found
 
     def keep_pace(self, t: float, rate: float) -> None:
-        """Wait until the flight may go on from a time [s] at a rate."""
+        """Wait until the flight may continue from a time [s] at a rate."""
         now = time.monotonic()
         if math.isnan(self._begun):
             self._begun = now - t / rate
@@ -170,7 +170,7 @@ class ClientSession(ABC):
         wait_until(due)
 
     def refuse(self, what: str) -> NoReturn:
-        """End the session: a client did what it must not, in words that follow "the client"."""
+        """End the session because of an error of the client, in words that follow "the client"."""
         self.ended = self.commands.ended = text = f"the client {what}"
         self.close(text, good=False)
         raise EstimatorStoppedError(text)

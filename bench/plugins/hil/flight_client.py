@@ -1,4 +1,4 @@
-"""The client of a flight that `bench serve` flies: sensors in, an estimate or steering commands out.
+"""Client of a flight of `bench serve`: receive sensors, send an estimate or steering commands.
 
 It is short, and the reference for clients in other languages; `flight_client.c` beside it is the same in C.
 """
@@ -78,7 +78,7 @@ class FlightClient:
         self._line.close()
 
     def turns(self) -> Iterator[tuple[float, list[FlightFrame]]]:
-        """Yield the time [s] and what has arrived since the turn before, until the flight ends.
+        """Yield the time [s] and the data since the last turn, until the flight ends.
 
         What is given meanwhile is sent when the next turn is asked for.
         """
@@ -103,15 +103,15 @@ class FlightClient:
         accel_bias_b: Sequence[float] = (UNKNOWN,) * 3,
         sd: Sequence[float] = (UNKNOWN,) * 9,
     ) -> None:
-        """Give where the aircraft is at this turn: [rad, rad, m], [m/s], quaternion; biases and sd in SI."""
+        """Send the estimate of this turn: [rad, rad, m], [m/s], quaternion; biases and sd in SI."""
         self._send(ESTIMATE, self._t, *lla, *vel_n, *q_nb, *gyro_bias_b, *accel_bias_b, *sd)
 
     def steer_attitude(self, bank: float, pitch: float, throttle: float) -> None:
-        """Give targets of bank and pitch [rad] and the throttle, 0 to 1."""
+        """Send targets of bank and pitch [rad] and the throttle, 0 to 1."""
         self._send(ATTITUDE, self._t, bank, pitch, throttle)
 
     def steer_surfaces(self, aileron: float, elevator: float, rudder: float, throttle: float) -> None:
-        """Give surfaces, -1 to 1 in the sense of JSBSim's commands, and the throttle, 0 to 1."""
+        """Send surface commands, -1 to 1 with the signs of JSBSim, and the throttle, 0 to 1."""
         self._send(SURFACES, self._t, aileron, elevator, rudder, throttle)
 
     def _send(self, kind: int, *values: float) -> None:

@@ -47,18 +47,18 @@ _CRC = struct.Struct("<H")
 
 
 class FlightFrame(NamedTuple):
-    """A frame that has come."""
+    """A received frame."""
 
     kind: int
     payload: bytes
 
     @property
     def name(self) -> str:
-        """Its kind in words."""
+        """Kind of the frame in words."""
         return _NAMES.get(self.kind, f"kind {self.kind}")
 
     def values(self) -> tuple[float, ...]:
-        """Return its numbers, without the last byte."""
+        """Return the numbers of the frame, without the last byte."""
         return struct.unpack_from(f"<{len(self.payload) // 8}d", self.payload)
 
     @property
@@ -68,14 +68,14 @@ class FlightFrame(NamedTuple):
 
 
 class FrameReader:
-    """Takes bytes as they come and gives the frames in them."""
+    """Parser of a byte stream into frames."""
 
     def __init__(self) -> None:
         self._held = bytearray()
 
     @property
     def inside(self) -> bool:
-        """Return whether a frame has begun and not ended."""
+        """Return whether a frame has arrived only in part."""
         return bool(self._held)
 
     def take(self, data: bytes) -> Iterator[FlightFrame]:

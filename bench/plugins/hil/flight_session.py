@@ -1,4 +1,4 @@
-"""The server of a client that speaks `hil.flight_messages`: the flight waits for its answers."""
+"""Server of a client with the messages of `hil.flight_messages`; the flight waits for the client."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class FlightSession(ClientSession):
         self._out, self._number = bytearray(), 0
 
     def begin(self) -> None:
-        """Take the HELLO."""
+        """Process the HELLO of the client."""
         self._reader = FrameReader()
         frame = self.receive()
         if frame.kind != messages.HELLO:
@@ -73,16 +73,16 @@ class FlightSession(ClientSession):
 
     @property
     def inside(self) -> bool:
-        """Return whether a frame has begun to arrive and not ended."""
+        """Return whether a frame has arrived only in part."""
         return self._reader.inside
 
     def make_end(self, words: str, *, good: bool, known: bool = True) -> bytes:
-        """Return END."""
+        """Return the message END."""
         body = words.encode()[:_LONGEST_WORDS] + bytes([good])
         return make_frame(messages.END, self._number if known else 0, body)
 
     def answer(self, data: SensorData, initial: InitialState, end: float) -> NavSolution:
-        """Send what has arrived by a time [s], wait for the answer, and return the estimate in it.
+        """Send the data that arrived by a time [s], wait for the reply, and return its estimate.
 
         Without an estimate a row of NaN.
 

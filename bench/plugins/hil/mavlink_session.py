@@ -1,4 +1,4 @@
-"""The server of an autopilot that speaks MAVLink as PX4 does to a simulator, in lock-step.
+"""Server of an autopilot with the MAVLink messages between PX4 and a simulator, in lock-step.
 
 HIL_SENSOR for each sample of the IMU and HIL_GPS for each fix go out, HIL_ACTUATOR_CONTROLS come in. Messages
 and units: common.xml of MAVLink, ids 107, 113, 115, 93. Where PX4 reads them otherwise (``fields_updated``,
@@ -48,7 +48,7 @@ _WORDS = 50  # of a STATUSTEXT [bytes]
 
 @dataclass(frozen=True, slots=True)
 class ActuatorChannels:
-    """Which control of HIL_ACTUATOR_CONTROLS moves what: channel from 1, below 0 with the sign turned.
+    """Assignment of the channels of HIL_ACTUATOR_CONTROLS, from 1; a negative number reverses the sign.
 
     The defaults are those of PX4's airframe 1033_jsbsim_rascal with the signs of px4-jsbsim-bridge.
     """
@@ -85,7 +85,7 @@ class ActuatorChannels:
         return cls(**found)
 
     def take(self, controls: list[float]) -> SurfaceCommand:
-        """Return the command in the controls of a message."""
+        """Return the command from the controls of a message."""
 
         def read(channel: int) -> float:
             return math.copysign(1.0, channel) * controls[abs(channel) - 1]
@@ -163,7 +163,7 @@ class MavlinkSession(ClientSession):
 
     @property
     def inside(self) -> bool:
-        """Return whether a message has begun to arrive and not ended."""
+        """Return whether a message has arrived only in part."""
         return bool(self._mav.buf_len())
 
     def make_end(self, words: str, *, good: bool, known: bool = True) -> bytes:
@@ -173,11 +173,11 @@ class MavlinkSession(ClientSession):
         return self._pack(text)
 
     def watch(self, piece: Trajectory) -> None:
-        """Take a piece of the truth that is about to be sensed."""
+        """Store the next piece of the truth before its sensors are simulated."""
         self._flying = piece
 
     def answer(self, data: SensorData, initial: InitialState, end: float) -> NavSolution:
-        """Send what has arrived by a time [s] and take the controls that answer it.
+        """Send the data that arrived by a time [s], and read the controls of the reply.
 
         An autopilot that has not commanded is given real time to start; after that the flight waits for an
         answer to each HIL_SENSOR.
@@ -220,7 +220,7 @@ class MavlinkSession(ClientSession):
         self.send(self._pack(dialect.MAVLink_heartbeat_message(kind, autopilot, 0, 0, 0, 3)))
 
     def _make_messages(self, data: SensorData, end: float) -> Iterator[Any]:
-        """Yield a HIL_SENSOR for each sample of the IMU that counts; before it what has arrived by its time.
+        """Yield a HIL_SENSOR for each used IMU sample, after the other measurements that arrived by its time.
 
         The truth is that of ``end``.
         """
@@ -267,7 +267,7 @@ class MavlinkSession(ClientSession):
             now.impact = float(impact_pressure(record.airspeed_true[row], pressure, temperature)) / 100.0
 
     def _make_fix(self, data: SensorData, k: int) -> Any:
-        """Return the HIL_GPS of a fix; without a velocity it is none, for HIL_GPS has no value for that."""
+        """Return the HIL_GPS of a fix; a fix without velocity counts as no fix, as HIL_GPS requires one."""
         fixes = data.fixes
         assert fixes is not None
         good = bool(fixes.valid[k]) and bool(np.isfinite([*fixes.lla[k], *fixes.vel_n[k]]).all())
@@ -311,7 +311,7 @@ class MavlinkSession(ClientSession):
     # --- what comes
 
     def _wait_for(self, take: Callable[[Any], bool], missed: str) -> None:
-        """Give messages to a function until it returns True; others do not prolong the patience."""
+        """Pass messages to a function until it returns True; other messages do not extend the time limit."""
         until, silent = time.monotonic() + self.patience, True
         while (message := self.receive_until(until)) is not None:
             silent = False
@@ -320,7 +320,7 @@ class MavlinkSession(ClientSession):
         self.refuse(f"has {'been silent' if silent else missed} for {self.patience:g} s")
 
     def _wait_for_quiet(self) -> None:
-        """Take the controls that answer what was sent before lock-step: they answer none of its samples."""
+        """Read and drop the controls that reply to data sent before lock-step."""
         begun = time.monotonic()
         quiet = begun + _QUIET
         while (message := self.receive_until(quiet)) is not None:

@@ -84,7 +84,7 @@ class Options(StudyOptions):
 
 
 def run(options: Options, work: StudyWorkers) -> Findings:
-    """Return errors across track, attitude errors along a course, of a quaternion, and by two vectors."""
+    """Return cross-track errors, and attitude errors along a course, of a quaternion and from two vectors."""
     if min(options.lengths_km) <= 0.0:
         raise ConfigError("study alignment: lengths_km must be above 0")
     work.progress("attitude errors along the course", 0, 2)
@@ -123,7 +123,7 @@ def _fill_route(options: Options) -> FindingTable:
 
 
 def find_allowed(length: float, cross_track: float) -> float | None:
-    """Return the heading error [deg] that leads a leg [m] so far across track [m]; None if none does."""
+    """Return the heading error [deg] that causes a cross-track error [m] on a leg [m]; None if none does."""
     try:
         return allowed_heading_error(length, cross_track) / DEG
     except ValueError:
@@ -131,7 +131,7 @@ def find_allowed(length: float, cross_track: float) -> float | None:
 
 
 def travel(options: Options) -> tuple[FloatArray, FloatArray, float]:
-    """Return epochs (M,) [s], alpha, delta and delta_u (M, 9), and how far they are apart [rad].
+    """Return epochs (M,) [s], alpha, delta and delta_u (M, 9), and the difference between them [rad].
 
     Each has its own differential equation; alpha is that of the 15 error equations, with position errors.
     """

@@ -1,4 +1,4 @@
-"""Three descriptions of one attitude error, and the way from each to the next (A-5.1.12, A-5.1.13).
+"""Three descriptions of one attitude error, and their conversions (A-5.1.12, A-5.1.13).
 
 alpha   from the true local triad to the computed one, east, north, up: the filter's state
 delta   the same at the computed place, in the moving equatorial axes (the psi-angle): no position error in it

@@ -1,4 +1,4 @@
-"""The generic filter of the errors of two navigation systems, and the filter that is one (B-15 to B-22).
+"""Generic filter of the errors of two navigation systems, and a filter that uses it (B-15 to B-22).
 
 The first system (an INS) gives z1 = z1_true + M1 x, the second (GNSS and barometer) z2 = f(z1_true) + M2 x +
 noise, and one vector of errors x holds those of both, x+ = F x + noise (B-17 to B-19, with f where the paper
@@ -51,12 +51,12 @@ _STEPS = np.repeat([1.0, 1.0, 1e-3, 1e-3, 1.0], 3)  # over which f is differenti
 
 
 class _ErrorEkfState(WholeForm):
-    """x and P of the generic filter on what a loop was given; they step by (B-20, B-22)."""
+    """State x and covariance P of the generic filter for the data of a loop (B-20, B-22)."""
 
     loop: Scratch[_Loop]  # that gives what has arrived
 
     def update(self, Y: FloatArray, H: FloatArray, R: FloatArray, rows: list[int], nav: Nav) -> None:
-        """Observe some rows of z2, P by Joseph's form (B-19b); Y and H are the other filter's."""
+        """Update with some rows of z2, P by Joseph's form (B-19b); Y and H are of the other filter."""
         z1 = np.concatenate([np.zeros(3), nav.V, np.zeros(9)])
         x, P, z2, f = self.x, self.P, self.loop.measured(), self.loop.expect
         corrected = z1 - _M1 @ x  # less what is known of its errors (B-21)
@@ -71,12 +71,12 @@ class _ErrorEkfState(WholeForm):
 
 
 class _Loop(FilterLoop):
-    """Navigator and measurements; positions are reduced meters from where the navigator is."""
+    """Navigator and measurements, with positions in reduced meters relative to the navigator."""
 
     given: Scratch[tuple[Fix | None, float | None]]  # what has arrived
 
     def update(self, now: float, fix: Fix | None, alt_baro: float | None) -> None:
-        """Use what has arrived."""
+        """Use the measurements that arrived."""
         assert isinstance(self.form, _ErrorEkfState)
         self.given, self.form.loop = (fix, alt_baro), self
         super().update(now, fix, alt_baro)
@@ -93,7 +93,7 @@ class _Loop(FilterLoop):
         return z2
 
     def expect(self, z: FloatArray) -> FloatArray:
-        """Return f(z) (7,): what barometer and antenna show for the quantities z (15,) of the navigator."""
+        """Return f(z) (7,): expected barometer height and antenna motion for the navigator state z (15,)."""
         nav = self.nav
         B = turn_matrix(*(-z[6:9]).tolist()) @ nav.B
         moved = Nav(nav.lat + z[1] / R3, nav.lon, nav.h + z[2], z[3:6], B)

@@ -1,4 +1,4 @@
-"""The options of the filters whose gain no covariance chose."""
+"""Options of the filters whose gain does not follow from a covariance."""
 
 from __future__ import annotations
 

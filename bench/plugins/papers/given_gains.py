@@ -1,4 +1,4 @@
-"""Filters whose gain no covariance chose: the methods that the source holds the Kalman filter against (A-4).
+"""Filters with a given gain: the methods with which the source compares the Kalman filter (A-4).
 
 They correct the errors of `classic-22` by its seven measurements, and differ in the gain K alone. Joseph's
 form of the update holds for any gain, so P stays what the 22-state model says of their errors: they are worse

@@ -1,4 +1,4 @@
-"""Numbers of the register that take a flight: what filters make of it, over a few runs."""
+"""Numbers of the register that need simulated flights: results of filters over a few runs."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def load_step(**values: object) -> Profile:
 
 @cache
 def fly_step() -> tuple[Trajectory, float]:
-    """Return the flight with a step of 2 g, and when the force begins to rise [s]."""
+    """Return the flight with a step of 2 g, and the time at which the force begins to rise [s]."""
     truth = pipeline.fly(load_step())
     force = np.linalg.norm(truth.dvel_b, axis=1) / np.diff(truth.t) / STANDARD_GRAVITY
     return truth, float(truth.t[np.argmax(force > 1.2)])
@@ -66,7 +66,7 @@ def measure_step(**values: object) -> dict[str, MeanNis]:
 
 
 def average_nis(solutions: Iterable[NavSolution], begin: float, end: float) -> dict[str, MeanNis]:
-    """Return the mean NIS by sensor of what is valid in [begin, end) [s], with its 99.9 % band."""
+    """Return the mean NIS by sensor of the measurements in [begin, end) [s], with its 99.9 % band."""
     found: dict[str, list[Any]] = {}
     for solution in solutions:
         for name, one in nis_by_sensor(solution.innovations, begin).items():
@@ -78,7 +78,7 @@ def average_nis(solutions: Iterable[NavSolution], begin: float, end: float) -> d
 
 
 def step_of_2_g() -> RowFinding:
-    """#31: NIS through a step of 2 g, and with a receiver that lags behind it by loops of 1 Hz."""
+    """#31: NIS in a step of 2 g, also with a receiver whose loops of 1 Hz lag."""
     whole, behind = measure_step(), measure_step(**{"sensors.gnss.tracking_bandwidth_hz": 1.0})
     text = f"{_tell_nis(whole)}; loops of 1 Hz {behind['gnss_position'].mean:.0f}"
     return RowFinding(text, _check_nis(whole, behind))
@@ -96,7 +96,7 @@ def _tell_nis(found: Mapping[str, MeanNis]) -> str:
 
 
 def go_over(told: tuple[float, float, float]) -> dict[str, MeanNis]:
-    """Return the mean NIS of loose-15 in the step after its receiver went over from nose to tail there.
+    """Return the mean NIS of loose-15 after its receiver switches from the nose to the tail antenna.
 
     ``told`` is where the filter takes the second antenna to be [m], b.
     """
@@ -116,14 +116,14 @@ def go_over(told: tuple[float, float, float]) -> dict[str, MeanNis]:
 
 
 def switch_antenna() -> RowFinding:
-    """#30: NIS of the fixes after a change of the antenna, and of a filter that keeps the first arm."""
+    """#30: NIS of the fixes after a change of the antenna, also of a filter with the old lever arm."""
     right, wrong = go_over(_TAIL), go_over(_NOSE)
     text = f"NIS {_tell_nis(right)}; with the first arm {wrong['gnss_position'].mean:.0f}"
     return RowFinding(text, _check_nis(right, wrong))
 
 
 class _KeepingWorkers(StudyWorkers):
-    """Workers that keep what they found last."""
+    """Workers that store their last result."""
 
     kept: Sequence[Any] = ()
 

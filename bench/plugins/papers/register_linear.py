@@ -115,7 +115,7 @@ def draw_outage(runs: int = 50, known: int = 300, lost: int = 60, seed: int = 7)
 
 
 def go_on() -> RowFinding:
-    """#46: a parabola through the estimates, 60 s into an outage, over the INS; and the prediction."""
+    """#46: error of a parabola 60 s into an outage over the error of the INS; and the prediction."""
     found = draw_outage()
     ratio, own = (found[name] / found["ins"] for name in ("parabola", "prediction"))
     text = f"parabola {ratio:.2f}, prediction {own:.2f} of the INS"

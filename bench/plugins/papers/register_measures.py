@@ -1,4 +1,4 @@
-"""Numbers of the register that take seconds: closed forms and short flights, each with whether it holds."""
+"""Numbers of the register that take seconds to compute: closed forms and short flights, each checked."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Bounded(NamedTuple):
 
 
 def below(value: float, most: float) -> Bounded:
-    """Return that a size is at most so large."""
+    """Return bounds for a size up to a limit."""
     return Bounded(value, 0.0, most)
 
 

@@ -1,4 +1,4 @@
-"""The rows of the coverage table (equations 9): what is printed, what must be, and what proves it.
+"""The rows of the coverage table (equations 9): printed formula, required result, and proof.
 
 A row that takes seconds has a function; every row that is not open names a test.
 """

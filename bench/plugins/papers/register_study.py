@@ -1,4 +1,4 @@
-"""Every row of the register's coverage table: printed, required, found here, and what does not hold."""
+"""Every row of the register's coverage table: printed, required and computed, and the rows that fail."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def run(options: Options, work: StudyWorkers) -> Findings:
 
 
 def measure_row(number: int) -> RowFinding:
-    """Return what the bench finds for a row that has a function."""
+    """Return the result of bench for a row that has a function."""
     (measure,) = (row.measure for row in ROWS if row.number == number)
     assert measure is not None
     return measure()

@@ -32,7 +32,7 @@ from bench.evaluation.errors.total_system import locate_path
 
 @dataclass(frozen=True, slots=True)
 class Carrier:
-    """The motion that carries the vehicle where there is no truth."""
+    """The motion of the vehicle in the 3D view if there is no truth."""
 
     t: FloatArray  # (N,) [s]
     lla: FloatArray  # (N, 3)
@@ -84,7 +84,7 @@ class Content:
 
     @property
     def desired(self) -> list[FloatArray]:
-        """The segments (K, 3) of the path that the flight was to fly: latitude, longitude, height."""
+        """The segments (K, 3) of the desired path: latitude, longitude, height."""
         path, motion = self.path, self.motion
         if path is None:
             return []
@@ -104,7 +104,7 @@ class Content:
 
 
 def gather_content(result: RunResult, *, in_space: bool = True) -> Content | None:
-    """Return what there is to plot of a result; None if neither a truth nor a solution has a motion.
+    """Return the data of a result to plot; None if neither truth nor solutions have a motion.
 
     If not ``in_space``, a position is enough.
     """
@@ -142,7 +142,7 @@ class Tab:
     all_plots: Callable[[Content], Mapping[str, Rows]]  # by the label of the filter; "": of none
 
     def plots(self, content: Content) -> Mapping[str, Rows]:
-        """Return the plots by the label of the filter; of a long flight what a screen can show."""
+        """Return the plots by label of the filter, thinned to the screen for a long flight."""
         shown = {
             label: [[replace(plot, series=tuple(map(shorten, plot.series))) for plot in row] for row in rows]
             for label, rows in self.all_plots(content).items()

@@ -11,7 +11,7 @@ from bench.io.config.listing import find_unit
 
 
 def list_facts(result: RunResult) -> Iterable[str]:
-    """Yield what was flown or recorded, in a few words each."""
+    """Yield the facts of a flight or recording, in a few words each."""
     profile = result.profile
     if "log" in result.more:
         kept = profile.get("evaluation", {}).get("withhold")
@@ -37,7 +37,7 @@ def list_facts(result: RunResult) -> Iterable[str]:
 
 
 def _describe_wind(wind: Mapping[str, Any]) -> str:
-    """Return the wind; of layers the lowest and the highest."""
+    """Return the wind in words; for layers, the lowest and the highest layer."""
     layers = sorted(wind.get("layers") or (), key=lambda one: one["alt_m"])
     if not layers:
         return f"wind {_describe_flow(wind)}"

@@ -19,7 +19,7 @@ HATCH = 1.0 / 600.0
 
 
 def entity(*parts: str) -> str:
-    """Return an entity path, with what rerun reserves escaped in each part."""
+    """Return an entity path, with reserved characters of rerun escaped in each part."""
     return "/" + "/".join(rr.escape_entity_path_part(part) for part in parts)
 
 
@@ -45,7 +45,7 @@ def _choose_widths(series: Series) -> list[float]:
 
 
 def linearize(plot: Plot) -> Plot:
-    """Return a plot as the viewer, which has no logarithmic axes, can show it: of the logarithms."""
+    """Return a plot of logarithms, because the viewer has no logarithmic axes."""
     if not plot.log:
         return plot
     title = f"log10 of {plot.title}" if "y" in plot.log else plot.title
@@ -53,7 +53,7 @@ def linearize(plot: Plot) -> Plot:
 
 
 def send_scalars(stream: Any, entity: str, t: FloatArray, values: FloatArray) -> None:
-    """Send values (N, k); a row of nothing but NaN becomes an empty one, where the lines break."""
+    """Send values (N, k); a row of only NaN becomes an empty row, at which lines break."""
     there = ~np.isnan(values).all(axis=1)
     if len(t):
         stream.send_columns(

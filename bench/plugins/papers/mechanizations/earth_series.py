@@ -30,7 +30,7 @@ def exact_radii(s: float, h: float, e: Ellipsoid) -> tuple[float, float]:
 
 
 def long_radii(s: float, h: float, e: Ellipsoid) -> tuple[float, float]:
-    """The same by the long series, within 0.3 ppm up to 12 km (A-2.2.1)."""
+    """Return the curvatures of `exact_radii` by the long series, within 0.3 ppm up to 12 km (A-2.2.1)."""
     e2, r, s2 = e.e2, h / e.a, s * s
     meridian = 1 + e2 - r - 1.5 * e2 * s2 - 2 * e2 * r + 3 * e2 * r * s2 + r * r
     meridian += e2 * e2 * (1 - 1.5 * s2 + 0.375 * s2 * s2)
@@ -39,7 +39,7 @@ def long_radii(s: float, h: float, e: Ellipsoid) -> tuple[float, float]:
 
 
 def short_radii(s: float, h: float, e: Ellipsoid) -> tuple[float, float]:
-    """The same by the short series, within 45 ppm at sea level (A-2.2.1)."""
+    """Return the curvatures of `exact_radii` by the short series, within 45 ppm at sea level (A-2.2.1)."""
     e2, r = e.e2, h / e.a
     return (1 + e2 - r - 1.5 * e2 * s * s) / e.a, (1 - r - 0.5 * e2 * s * s) / e.a
 
@@ -65,7 +65,7 @@ def fine_gravity(s: float, c: float, h: float) -> tuple[float, float]:
 
 
 def medium_gravity(s: float, c: float, h: float) -> tuple[float, float]:
-    """The same by the 1e-4 set (A-2.2.G2)."""
+    """Return the north and down components of the 1e-4 set (A-2.2.G2) [m/s^2]."""
     e2, q, r, s2 = _E2, _Q, h / _A, s * s
     sin2 = 2.0 * s * c
     bracket = 1 - 0.5 * e2 * s2 + 2.5 * q * s2 + e2 * e2 * (-s2 / 8 + sin2 * sin2 / 32)
@@ -75,7 +75,7 @@ def medium_gravity(s: float, c: float, h: float) -> tuple[float, float]:
 
 
 def simple_gravity(s: float, c: float, h: float) -> tuple[float, float]:
-    """The same by the simple formula of the slow loop (A-2.2.G3)."""
+    """Return the north and down components of the simple formula of the slow loop (A-2.2.G3) [m/s^2]."""
     del c
     return 0.0, GAMMA_E * (1 + 5.2884e-3 * s * s) * (1 - 2 * h / _A * (1 - _E2 * s * s))
 

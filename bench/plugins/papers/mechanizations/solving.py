@@ -126,7 +126,7 @@ def navigate(
 
 
 def _divide(interval: float, rates: Rates) -> tuple[int, int, int]:
-    """Return samples in an attitude step, attitude steps in a velocity step, and those in a slow one."""
+    """Return samples per attitude step, attitude steps per velocity step, velocity steps per slow step."""
     counts, before, of = [], 1.0 / interval, "IMU"
     for task, rate in zip(("fast", "medium", "slow"), rates[:3], strict=True):
         rate = before if rate is None else rate

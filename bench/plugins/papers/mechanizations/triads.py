@@ -1,4 +1,4 @@
-"""Navigation frames: where the triad turns, what its velocity feels, and how its position moves.
+"""Navigation frames: rotation of the triad, velocity equation and position equation.
 
 In every frame ``V' = C f + g - w_cor x V``, where w_cor is the rate of the triad and that of the Earth,
 w_in + w_ie (A-2.2.2, A-5.1.4); frames differ in their rates and in their position. The slow figures, rates
@@ -62,7 +62,7 @@ class Triad(ABC):
         self._moved = add(self._moved, add(v, self.V), 0.5 * T)
 
     def move(self, T: float) -> None:
-        """Carry position over a slow interval T [s], and take the slow figures of the next."""
+        """Propagate the position over a slow interval T [s], and update the slow values for the next."""
         self.t += T
         self._carry(self._moved)
         ahead = add(self.V, add(self.V, self._before, -1.0), 0.5) if self.lead else self.V
@@ -112,7 +112,7 @@ class Geodetic(Triad):
         self.h += up
 
     def read(self) -> tuple[Vector, Vector, FloatArray]:
-        """Return place, velocity and axes."""
+        """Return position, velocity and axes."""
         return (self.lat, self.lon, self.h), turn(self.ned, self.V), self.ned
 
 
@@ -154,7 +154,7 @@ class Enu(Geodetic):
 
 
 class WanderAzimuth(Triad):
-    """A level triad that does not turn about the vertical against the Earth: no pole is a singular place.
+    """Level triad that does not rotate about the vertical relative to the Earth, regular at the poles.
 
     East, north, up at the start. Position is the matrix D from the triad to Earth-fixed axes; p, the axis of
     the Earth in the triad, is (cos lat) times north and sin lat up. With 1/(R + h) a tensor,
@@ -177,7 +177,7 @@ class WanderAzimuth(Triad):
         return k_p + kappa * x * x, kappa * x * y, k_p + kappa * y * y, c
 
     def _turned(self, moved: Vector) -> Vector:
-        """Return the rotation vector of the triad against the Earth on a way in the triad [m]."""
+        """Return the rotation vector of the triad relative to the Earth for a displacement in it [m]."""
         xx, xy, yy, _ = self._at
         return -(xy * moved[0] + yy * moved[1]), xx * moved[0] + xy * moved[1], 0.0
 
@@ -198,7 +198,7 @@ class WanderAzimuth(Triad):
         self.h += moved[2]
 
     def read(self) -> tuple[Vector, Vector, FloatArray]:
-        """Return place, velocity and axes; at a pole itself, longitude is 0."""
+        """Return position, velocity and axes; exactly at a pole, the longitude is 0."""
         up = self.D[:, 2]
         lat, lon = math.atan2(up[2], math.hypot(up[0], up[1])), math.atan2(up[1], up[0])
         C_nw = level_matrix(lat, lon) @ self.D
@@ -232,14 +232,14 @@ class Ecef(Triad):
         self.r = add(self.r, moved)
 
     def read(self) -> tuple[Vector, Vector, FloatArray]:
-        """Return place, velocity and axes."""
+        """Return position, velocity and axes."""
         lla = geodetic(self.r, self.ellipsoid.a, self.ellipsoid.f)
         C_ne = level_matrix(lla[0], lla[1])
         return lla, turn(C_ne, self.V), C_ne
 
 
 class Inertial(Ecef):
-    """Axes that do not turn, Earth-fixed at the start: gravitation alone, Coriolis nowhere (A-2.2 intro)."""
+    """Inertial axes, Earth-fixed at the start, with gravitation and without Coriolis terms (A-2.2 intro)."""
 
     rate = 0.0
 
@@ -252,7 +252,7 @@ class Inertial(Ecef):
         return x - EARTH_RATE**2 * r[0], y - EARTH_RATE**2 * r[1], z
 
     def read(self) -> tuple[Vector, Vector, FloatArray]:
-        """Return place, velocity and axes, by the angle the Earth has turned since the start."""
+        """Return position, velocity and axes, with the rotation angle of the Earth since the start."""
         lat, lon, h = geodetic(self.r, self.ellipsoid.a, self.ellipsoid.f)
         C_ni = level_matrix(lat, lon)
         V = turn(C_ni, add(self.V, cross((0.0, 0.0, EARTH_RATE), self.r), -1.0))

@@ -1,4 +1,4 @@
-"""Vectors and quaternions of three and four floats: a step of a mechanization has no arrays to wait for."""
+"""Vectors and quaternions as tuples of floats, faster than arrays for single steps of a mechanization."""
 
 from __future__ import annotations
 

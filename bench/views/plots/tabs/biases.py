@@ -1,4 +1,4 @@
-"""Biases as estimated, with 3 sigma, and as they were drawn."""
+"""Estimated biases with 3 sigma, and the simulated biases."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ LEAST = 1e-3
 
 
 def _plots(content: Content) -> Mapping[str, Rows]:
-    """Return plots of two or more filters, scaled to those that stay near the middle one."""
+    """Return plots of two or more filters, scaled to the filters with errors near the median."""
     errors, looks = content.errors, content.looks
     sizes: dict[str, Callable[[ErrorSeries], FloatArray]] = {
         "horizontal position error [m]": lambda e: np.hypot(e.pos_n[:, 0], e.pos_n[:, 1]),

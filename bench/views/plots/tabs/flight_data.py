@@ -91,7 +91,7 @@ def _plots(content: Content) -> Mapping[str, Rows]:
 
 
 def _trace(row: Instrument, record: Any) -> list[Series]:
-    """Return what an instrument measured, a line or dots for each component."""
+    """Return the measurements of an instrument, a line or dots for each component."""
     told, values = row.trace, row.trace.scale * row.values(record)
     if row.width == 1:
         if told.dots:
@@ -102,7 +102,7 @@ def _trace(row: Instrument, record: Any) -> list[Series]:
 
 
 def _measured_title(plot: str) -> str:
-    """Return the title of a plot that only instruments have a part in."""
+    """Return the title of a plot with only measurements of instruments."""
     told = next(row.trace for row in INSTRUMENTS.values() if row.trace.plot == plot)
     return f"{told.legend[0].upper()}{told.legend[1:]} [{told.unit}]"
 

@@ -1,4 +1,4 @@
-"""The satellites of a measurement-level receiver: C/N0 of each, how many are used, DOP."""
+"""The satellites of a measurement-level receiver: C/N0, number of used satellites, DOP."""
 
 from __future__ import annotations
 
