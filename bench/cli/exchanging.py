@@ -216,8 +216,11 @@ def score_solution(
     folder: str | Path,
     *,
     label: str | None = None,
-    t_0: float = 0.0,
+    t_0: float | None = None,
     longest: float | None = None,
+    align: str | None = None,
+    frame: str | None = None,
+    origin: Sequence[float] | None = None,
     out: str | Path | None = None,
     force: bool = False,
 ) -> Score:
@@ -226,15 +229,22 @@ def score_solution(
     Parameters
     ----------
     solution : str or Path
-        Table with the motion of the IMU at its own times (`bench.io.foreign.solutions`).
+        File with the motion of the IMU at its own times (`bench.io.foreign.solutions`).
     folder : str or Path
         Results folder.
     label : str, optional
         Label of the solution. Default: the name of the file.
     t_0 : float, optional
-        Time in the file at the start of the run [s]. Default: 0.
+        Time in the file at the start of the run [s]. Default: by the clocks that the file may have.
     longest : float, optional
         Longest interval between rows that is interpolated [s]. Default: twice the median, at most 2 s.
+    align : str, optional
+        Alignment with the positions of the run: ``"se3"``, ``"yaw"`` or ``"none"``. Default: yaw
+        if the positions are in a local frame without an origin, else none.
+    frame : str, optional
+        Axes of local positions and of the body, such as ``"ned-frd"``. Default: the axes of the format.
+    origin : sequence of float, optional
+        Latitude, longitude [deg], height [m] of a local frame, and its heading [deg], 0 by default.
     out : str or Path, optional
         Folder for a copy of the results with the solution added, without the recording.
     force : bool, optional
@@ -266,7 +276,8 @@ def score_solution(
     folder = Path(folder)
     if out is not None:
         results.check_folder(Path(out), force=force)
-    score = scoring.score(Path(solution), folder, label, t_0, longest)
+    how = scoring.Matching(t_0, longest, align, frame, None if origin is None else tuple(origin))
+    score = scoring.score(Path(solution), folder, label, how)
     if out is not None:
         with results.make_folder(Path(out), force=force) as partial:
             results.copy_results(folder, partial)

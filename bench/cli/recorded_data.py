@@ -192,7 +192,7 @@ def export(folder: Path, **options: Any) -> int:
 @click.argument("folder", type=FILE, metavar="RUN")
 @click.option("--label", metavar="NAME", help="label of the solution  [default: the name of its file]")
 @click.option(
-    "--t0", "t_0", type=float, default=0.0, metavar="S", help="time of the file at the start of the run"
+    "--t0", "t_0", type=float, metavar="S", help="time of the file at the start of the run  [default: found]"
 )
 @click.option(
     "--max-gap",
@@ -201,15 +201,25 @@ def export(folder: Path, **options: Any) -> int:
     metavar="S",
     help="longest interval between rows that is interpolated  [default: twice the median, at most 2 s]",
 )
+@click.option(
+    "--align",
+    type=click.Choice(["se3", "yaw", "none"]),
+    help="fit its positions to the positions of the run",
+)
+@click.option("--frame", metavar="AXES", help="axes of local positions and of the body, such as ned-frd")
+@click.option("--origin", metavar="LAT,LON,H", help="place of a local frame [deg, deg, m]; ,HEADING [deg]")
 @out_option("write the results folder with the solution added, without the recording")
 @json_option("its metrics")
 @force_option()
 @strict_option
-def score(solution: Path, folder: Path, as_json: bool, strict: bool, **options: Any) -> int:
+def score(
+    solution: Path, folder: Path, as_json: bool, strict: bool, origin: str | None, **options: Any
+) -> int:
     """Evaluate the solution of another program.
 
-    RUN is a results folder, SOLUTION a table (.csv, .parquet, .mat) of
-    the motion of the IMU at its own times. Column names give quantity, frame and unit;
+    RUN is a results folder, SOLUTION a file with the motion of the IMU at its own times:
+    RTKLIB .pos, NMEA, SBET, poses of TUM, EuRoC and KITTI, .nav of KF-GINS, or a table
+    (.csv, .parquet, .mat). Column names of a table give quantity, frame and unit;
     time and one of position, velocity, attitude are required:
 
     \b
@@ -225,15 +235,24 @@ def score(solution: Path, folder: Path, as_json: bool, strict: bool, **options: 
     \b
     Examples:
       bench export runs/figure-eight-20260101 --to kf-gins   then run another filter on it
-      bench score theirs.csv runs/figure-eight-20260101 --t0 345618   t = 0 is in its README
+      bench score theirs.tum runs/figure-eight-20260101 --align yaw   without its place
     """
     from bench.cli.verbs.record_verbs import score_solution
     from bench.io.results import to_json
 
+    options["origin"] = None if origin is None else _parse_origin(origin)
     measured = score_solution(solution, folder, console=new_console(stderr=as_json), **options)
     if as_json:
         click.echo(to_json(measured), nl=False)
     return end_run({solution.stem: measured}, strict=strict)
+
+
+def _parse_origin(text: str) -> tuple[float, ...]:
+    """Return the numbers of an option; none if one is not a number."""
+    try:
+        return tuple(float(word) for word in text.split(","))
+    except ValueError:
+        return ()
 
 
 @commands.command()

@@ -15,12 +15,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import partial
+from importlib import import_module
 from pathlib import Path
 from typing import NamedTuple
 
 from bench.core.files.installed import Installed, find_installed, find_own, import_installed, read_constant
 from bench.core.words.exceptions import ConfigError
-from bench.io.logs.file_kinds import GNSSLOGGER, NOVATEL, is_kind
+from bench.io.logs.file_kinds import GNSSLOGGER, NMEA, NOVATEL, is_kind
 
 
 class LogFormat(NamedTuple):
@@ -36,6 +37,12 @@ class LogFormat(NamedTuple):
     brought_by: str = ""  # another package
 
 
+def _is_trajectory(path: Path) -> bool:
+    return bool(import_module(POSES).recognizes(path))
+
+
+POSES = "bench.io.logs.formats.pose_files"
+"""Module of trajectories, which is imported when a file is looked at."""
 MATLAB = ".mat"
 TABLES = (".csv", ".tsv", ".parquet", MATLAB)
 
@@ -48,6 +55,10 @@ FORMATS: Mapping[str, LogFormat] = {
     "kf-gins": LogFormat("bench.io.logs.formats.text"),
     "novatel": LogFormat("bench.io.logs.formats.novatel", topics=True, recognizes=partial(is_kind, NOVATEL)),
     "gnsslogger": LogFormat("bench.io.logs.formats.gnsslogger", recognizes=partial(is_kind, GNSSLOGGER)),
+    "nmea": LogFormat(
+        "bench.io.logs.formats.nmea_sentences", (".nmea",), fixes=True, recognizes=partial(is_kind, NMEA)
+    ),
+    "poses": LogFormat(POSES, (".tum", ".sbet"), recognizes=_is_trajectory),
     "rtklib": LogFormat("bench.io.logs.formats.text", (".pos",), fixes=True),
 }
 """Name of a format of bench -> the format; a table is a CSV, Parquet or MATLAB file."""

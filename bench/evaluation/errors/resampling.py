@@ -40,6 +40,8 @@ class ForeignSolution:
     accel_bias_b: FloatArray  # (N, 3) [m/s^2]
     cov: FloatArray | None  # (N, 9, 9); None if the file has none
     remarks: tuple[str, ...]
+    clock: str = ""  # that its times count, if the format defines it
+    placed: bool = True  # false if its positions are in a local frame whose place is unknown
 
     def __len__(self) -> int:
         return len(self.t)

@@ -65,8 +65,8 @@ def write(folder: Path, out: ExportData, kind: str) -> str:
   datasheet: `gbstd`, `abstd` are the standard deviations of the bias process; `initbgstd`, `initbastd` also
   include the turn-on bias; `corrtime` is that of the gyros.
 
-`bench score` reads `KF_GINS_Navresult.nav`, and the standard deviations in `KF_GINS_STD.txt` beside it, with
-`--t0 {calendar.second:.9g}`."""
+`bench score` reads `KF_GINS_Navresult.nav`, and the standard deviations in `KF_GINS_STD.txt` beside it. Its
+t = 0 of the run is second {calendar.second:.9g} of the week."""
 
 
 _NAV = (

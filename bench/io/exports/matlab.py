@@ -25,7 +25,8 @@ def write(folder: Path, out: ExportData, kind: str) -> str:
     for name, (record, layout) in tables.items():
         fields = {}
         for field, columns in layout.items():
-            rows = np.reshape(getattr(record, field), (-1, len(columns.names)))
+            value = getattr(record, field)
+            rows = np.reshape(value, (len(value), len(columns.names)))
             fields.update({n: rows[:, k].astype(float) for k, n in enumerate(columns.names)})
         variables[_name_variable(name)] = fields
     variables["start"] = _to_matlab(out.start)

@@ -55,6 +55,17 @@ class Calendar:
         )
 
 
+def make_calendar(year: float, gps_t0: float | None) -> Calendar:
+    """Return the calendar of a flight in a decimal year, with t = 0 ``gps_t0`` [s] into its day."""
+    first = int(year)
+    days = (date(first + 1, 1, 1) - date(first, 1, 1)).days
+    day = date(first, 1, 1) + timedelta(days=round((year - first) * days))
+    ahead = leap_seconds(day)
+    gps = datetime(day.year, day.month, day.day) + timedelta(seconds=ahead if gps_t0 is None else gps_t0)
+    week, second = divmod((gps - _GPS_ZERO).total_seconds(), _WEEK)
+    return Calendar(int(week), second, gps - timedelta(seconds=ahead))
+
+
 @dataclass(frozen=True, slots=True)
 class ExportData:
     """The exported data of a run."""
@@ -71,14 +82,9 @@ class ExportData:
     @property
     def calendar(self) -> Calendar:
         """Time of t = 0: from the observations of the receiver, else the start of the flight's day in UTC."""
-        year = int(self.start["date"])
-        days = (date(year + 1, 1, 1) - date(year, 1, 1)).days
-        day = date(year, 1, 1) + timedelta(days=round((self.start["date"] - year) * days))
-        ahead = leap_seconds(day)
-        gps_t0 = float(ahead) if self.observations is None else self.observations.gps_t0
-        gps = datetime(day.year, day.month, day.day) + timedelta(seconds=gps_t0)
-        week, second = divmod((gps - _GPS_ZERO).total_seconds(), _WEEK)
-        return Calendar(int(week), second, gps - timedelta(seconds=ahead))
+        return make_calendar(
+            self.start["date"], None if self.observations is None else self.observations.gps_t0
+        )
 
     @property
     def rate(self) -> float:

@@ -28,7 +28,9 @@ def write(folder: Path, out: ExportData, kind: str) -> str:
         origin = lla[0] if origin is None else origin
         position, attitude = to_poses(lla, track.q_nb[known], origin)
         rows = np.column_stack([track.t[known], position, rotation.to_scalar_last(attitude)])
-        parquet.write_rows(folder / f"{name}.tum", rows)
+        lat, lon = np.rad2deg(origin[:2])
+        place = f"origin_lat_deg={lat:.12f} origin_lon_deg={lon:.12f} origin_alt_m={origin[2]:.6f}"
+        parquet.write_rows(folder / f"{name}.tum", rows, f"# {place} frame=enu-flu\n")
         lost = len(track.t) - len(lla)
         remark = f"; {lost} epochs without one are left out" if lost else ""
         names += f"- `{name}.tum`, {len(lla)} poses of the IMU{remark}\n"
@@ -39,4 +41,5 @@ def write(folder: Path, out: ExportData, kind: str) -> str:
 {names}
 x, y, z are east, north, up in the tangent frame at latitude {lat:.9f} deg, longitude {lon:.9f} deg, height
 {origin[2]:.3f} m. The quaternion rotates a vector from the body frame (forward, left, up) to that frame.
+`bench score` reads the place of the frame in the first line, a comment.
 Example: `evo_ape tum truth.tum solution-loose-15.tum`."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import stat
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 
@@ -18,6 +19,8 @@ from bench.core.mathematics.arrays import FloatArray, IntArray
 from bench.core.records.data import InitialState, NavSolution, SensorData
 from bench.core.words.exceptions import ConfigError, EstimatorError
 from bench.evaluation.errors.resampling import ForeignSolution, resample
+from bench.io.foreign.solution_rows import NOWHERE, Placing, make_solution, read_foreign_rows
+from bench.io.logs.formats.pose_files import WEEK_CLOCK, recognizes
 from bench.io.logs.formats.text import read_kf_gins_solution
 from bench.io.logs.table_files import TableColumns, check_times, find_first, group, list_names, read_table
 from bench.io.trajectories.trajectory import KINDS, check_positions, normalize_quaternions
@@ -56,16 +59,19 @@ each block; other elements are optional and 0 by default.
 """
 
 
-def read_solution(path: Path, *, t_0: float = 0.0) -> ForeignSolution:
+def read_solution(path: Path, *, t_0: float = 0.0, placing: Placing = NOWHERE) -> ForeignSolution:
     """Read the solution in a file.
 
     Parameters
     ----------
     path : Path
-        ``.csv``, ``.parquet`` or ``.mat`` with the columns of `COLUMNS`: time and at least one other kind; or
-        the ``.nav`` of KF-GINS, with its ``STD.txt`` if that is beside it.
+        ``.csv``, ``.parquet`` or ``.mat`` with the columns of `COLUMNS`: time and at least one other kind;
+        the ``.nav`` of KF-GINS, with its ``STD.txt`` if that is beside it; or a trajectory or the fixes of a
+        receiver (`bench.io.foreign.solution_rows`).
     t_0 : float
         Time in the file at the start of the run [s].
+    placing : Placing
+        Where positions in a local frame are.
 
     Raises
     ------
@@ -78,14 +84,18 @@ def read_solution(path: Path, *, t_0: float = 0.0) -> ForeignSolution:
         kind = path.stat().st_mode
     except OSError as error:
         raise ConfigError(f"{shown}: {error.strerror or error}") from None
-    if not stat.S_ISREG(kind):
+    if not stat.S_ISREG(kind) and not recognizes(path):
         raise ConfigError(f"{shown}: not a regular file")
+    if (foreign := read_foreign_rows(path)) is not None:
+        solution = make_solution(foreign, shown, placing)
+        return replace(solution, t=solution.t - t_0)
     if path.suffix.lower() == ".nav":
         table = read_kf_gins_solution(path)
     else:
         table = read_table(path, _ALL, _OPTIONAL, MOST_ROWS, most_values=_MOST_VALUES)
         table.check_groups(_ALL, shown)
         _check_deviations(table, shown)
+    clock = WEEK_CLOCK if path.suffix.lower() == ".nav" else ""
     t = table.columns["time"][:, 0]
     check_times(t, table.names["time"][0], shown)
     given = {kind: values for kind, values in table.columns.items() if not np.isnan(values).all()}
@@ -113,6 +123,7 @@ def read_solution(path: Path, *, t_0: float = 0.0) -> ForeignSolution:
         accel_bias_b=given.get("accel_bias", np.full((n, 3), np.nan)),
         cov=_read_covariance(given, blocks, rows, shown),
         remarks=tuple(remarks),
+        clock=clock,
     )
 
 

@@ -23,6 +23,7 @@ _UNPACK = "unpack it first"
 
 NOVATEL, GNSSLOGGER = "a NovAtel ASCII log", "an Android GnssLogger file"
 UBX, RINEX, NMEA = "a u-blox UBX recording", "a RINEX file", "a file of NMEA 0183 sentences"
+SBET = "an SBET trajectory"
 """Names of the kinds that bench reads somewhere."""
 
 
@@ -57,7 +58,7 @@ def _is_sbet(head: bytes) -> bool:
         return False
     (t, lat, lon, alt), (later, *_) = rows[:4], rows[_SBET : _SBET + 4]
     is_place = abs(lat) <= math.pi / 2 and abs(lon) <= math.pi and abs(alt) < 1e5
-    return bool(1.0 < t < 604800.0 and 1e-4 < later - t < 10.0 and is_place)
+    return bool(0.0 <= t < 604800.0 and 1e-4 < later - t < 10.0 and is_place)
 
 
 def _begins(*marks: bytes) -> Callable[[bytes], bool]:
@@ -118,7 +119,7 @@ KINDS: Sequence[tuple[FileKind, Callable[[bytes], bool]]] = (
     ),
     (FileKind(RINEX, "bench fixes OBS NAV computes its fixes"), _matches(rb"\A.{60}RINEX VERSION / TYPE")),
     (
-        FileKind(NMEA, "it has fixes but no IMU; convert them to a table beside the IMU"),
+        FileKind(NMEA, 'it has fixes but no IMU; name it in [gnss] or [reference] of a log: file = "FILE"'),
         _matches(rb"\A[^$\n]{0,80}\$(?:G[PNLAB]|BD)[A-Z]{3},"),
     ),
     (
@@ -126,7 +127,9 @@ KINDS: Sequence[tuple[FileKind, Callable[[bytes], bool]]] = (
         _matches(rb"<(?:gpx|kml)\b"),
     ),
     (
-        FileKind("an SBET trajectory", "it is a solution, not an IMU; convert it to a table for [reference]"),
+        FileKind(
+            SBET, "it is a solution, not an IMU; name it in [reference] of a log, or: bench score FILE RUN"
+        ),
         _is_sbet,
     ),
 )

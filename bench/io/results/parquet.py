@@ -98,8 +98,10 @@ def write_frame(path: Path, columns: Mapping[str, Any]) -> None:
         pq.write_table(pa.table(dict(columns)), file, compression="zstd", use_dictionary=False)
 
 
-def write_rows(path: Path, rows: Any) -> None:
+def write_rows(path: Path, rows: Any, above: str = "") -> None:
     """Write rows of numbers (N, k) as text: no header, separated by a space, with all digits.
+
+    ``above`` is a line before them.
 
     Errors as for `write`.
     """
@@ -109,6 +111,7 @@ def write_rows(path: Path, rows: Any) -> None:
     columns = [np.ascontiguousarray(column) for column in np.asarray(rows).T]
     table = pa.table(columns, names=[str(k) for k in range(len(columns))])
     with durable.open_binary(path) as file:
+        file.write(above.encode())
         csv.write_csv(table, file, csv.WriteOptions(include_header=False, delimiter=" "))
 
 

@@ -111,7 +111,8 @@ def _parse_time(text: str | None) -> float:
     return (at if at.tzinfo else at.replace(tzinfo=UTC)).timestamp()
 
 
-def _parse_number(text: str | None) -> float:
+def parse_number(text: str | None) -> float:
+    """Return a number; NaN if the text is none."""
     try:
         return float(text or "nan")
     except ValueError:
@@ -128,8 +129,8 @@ def _read_gpx(path: Path, notes: list[str]) -> Iterator[Fix]:
         inner = {_strip(child): child.text for child in point}
         t = _parse_time(inner.get("time"))
         timed |= not math.isnan(t)
-        lat, lon = _parse_number(point.get("lat")), _parse_number(point.get("lon"))
-        yield t, lat, lon, _parse_number(inner.get("ele"))
+        lat, lon = parse_number(point.get("lat")), parse_number(point.get("lon"))
+        yield t, lat, lon, parse_number(inner.get("ele"))
     if not timed:
         raise ConfigError(f"{path.name}: no <trkpt> with a <time>: a route without times is not a motion")
 
@@ -149,7 +150,7 @@ def _read_kml(path: Path, notes: list[str]) -> Iterator[Fix]:
             )
         for t, place in zip(times, places, strict=True):
             found = True
-            lon, lat, alt = (_parse_number(text) for text in (*place, "", "", "")[:3])
+            lon, lat, alt = (parse_number(text) for text in (*place, "", "", "")[:3])
             yield t, lat, lon, alt
     if not found:
         raise ConfigError(f"{path.name}: no <gx:Track>: a <LineString> has no times")
@@ -172,25 +173,23 @@ def _read_nmea(path: Path, notes: list[str]) -> Iterator[Fix]:
         start = line.find("$")
         if start < 0 or line[start + 3 : start + 6] != "GGA":
             continue
-        body, star, rest = line[start + 1 :].partition("*")
-        if not star or f"{reduce(xor, body.encode('latin-1'), 0):02X}" != rest[:2].upper():
+        words = split_sentence(line)
+        if not words:
             broken += 1
             continue
-        words = [*body.split(","), *[""] * 15]
         if words[6] in ("", "0"):
             none += 1
             continue
-        clock = _parse_number(words[1])
-        if math.isnan(clock):
+        t = parse_clock(words[1])
+        if math.isnan(t):
             continue
-        t = clock // 10_000 * 3600 + clock // 100 % 100 * 60 + clock % 100
         if t < last - _DAY / 2:
             day += _DAY
         last = t
-        lat, lon = (_parse_degrees(words[k], words[k + 1]) for k in (2, 4))
-        separation = _parse_number(words[11])
+        lat, lon = (parse_degrees(words[k], words[k + 1]) for k in (2, 4))
+        separation = parse_number(words[11])
         without += math.isnan(separation)
-        height = _parse_number(words[9]) + (0.0 if math.isnan(separation) else separation)
+        height = parse_number(words[9]) + (0.0 if math.isnan(separation) else separation)
         yield day + t, lat, lon, height
     for count, why in (
         (broken, "with a wrong checksum"),
@@ -202,9 +201,23 @@ def _read_nmea(path: Path, notes: list[str]) -> Iterator[Fix]:
         notes.append(f"{format_count(without, 'height')} above the sea: sentences without a geoid separation")
 
 
-def _parse_degrees(text: str, side: str) -> float:
+def split_sentence(line: str) -> list[str]:
+    """Return the words of an NMEA sentence and 15 empty words; none if its checksum is wrong."""
+    body, star, rest = line[line.find("$") + 1 :].partition("*")
+    if not star or f"{reduce(xor, body.encode('latin-1'), 0):02X}" != rest[:2].upper():
+        return []
+    return [*body.split(","), *[""] * 15]
+
+
+def parse_clock(text: str) -> float:
+    """Return seconds of the day of hhmmss.sss; NaN if it is none."""
+    clock = parse_number(text)
+    return clock // 10_000 * 3600 + clock // 100 % 100 * 60 + clock % 100
+
+
+def parse_degrees(text: str, side: str) -> float:
     """Return the degrees of ddmm.mmmm with N, S, E or W."""
-    value = _parse_number(text)
+    value = parse_number(text)
     if side not in ("N", "S", "E", "W"):
         return math.nan
     return (value // 100 + value % 100 / 60) * (-1.0 if side in "SW" else 1.0)

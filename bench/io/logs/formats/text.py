@@ -44,7 +44,7 @@ def read(form: str, path: Path, kind: str, topic: str | None) -> LogRows:
         return _read_rtklib(path)
     if kind == "baro":
         raise ConfigError(f"{path.name}: KF-GINS has no file for a barometer")
-    numbers = _read_rows(path)
+    numbers = read_number_rows(path)
     columns = numbers.shape[1]
     if kind == "imu":
         if columns < 7:
@@ -73,7 +73,7 @@ def read_kf_gins_solution(path: Path) -> TableColumns:
     ConfigError
         If a file is not of these columns, or the two have other rows.
     """
-    rows = _read_rows(path)
+    rows = read_number_rows(path)
     if rows.shape[1] != 11:
         raise ConfigError(f"{path.name}: a solution of KF-GINS has 11 columns; this has {rows.shape[1]}")
     columns = {
@@ -84,7 +84,7 @@ def read_kf_gins_solution(path: Path) -> TableColumns:
     }
     beside = path.with_name(path.name.replace("Navresult.nav", "STD.txt"))
     if beside != path and beside.exists():
-        spread = _read_rows(beside)
+        spread = read_number_rows(beside)
         if spread.shape[1] < 10 or not np.array_equal(spread[:, 0], rows[:, 1]):
             raise ConfigError(
                 f"{beside.name}: must have a time, 9 columns or more, and the times of {path.name}"
@@ -157,13 +157,14 @@ def _read_rtklib(path: Path) -> LogRows:
     return LogRows(t, found, tuple(notes))
 
 
-def _read_rows(path: Path) -> FloatArray:
-    """Return the numbers of a text of KF-GINS; comments (#, %) do not count."""
+def read_number_rows(path: Path) -> FloatArray:
+    """Return the numbers of a text (N, columns), apart by spaces or commas; comments (#, %) do not count."""
     lines = (line for line in read_lines(path) if not line.lstrip().startswith(("#", "%")))
-    return _read_numbers(path, lines, _parse_row, "a row of numbers")
+    return _read_numbers(path, lines, parse_row, "a row of numbers")
 
 
-def _parse_row(line: str) -> list[float]:
+def parse_row(line: str) -> list[float]:
+    """Return the numbers of a line, separated by spaces or commas; raise ValueError if one is none."""
     return [float(text) for text in line.replace(",", " ").split()]
 
 

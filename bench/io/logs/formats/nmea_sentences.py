@@ -1,0 +1,147 @@
+"""Fixes in NMEA 0183 sentences: GGA, and the velocity of RMC or VTG of the same epoch.
+
+Fields: Gpgga, Gprmc and Gpvtg of docs.ros.org/en/api/nmea_msgs. The date is that of RMC. Times become GPS
+seconds since 1980-01-06.
+"""
+
+from __future__ import annotations
+
+import math
+from array import array
+from collections.abc import Sequence
+from datetime import date
+from pathlib import Path
+
+import numpy as np
+
+from bench.core.files.file_checks import check_file
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.words.exceptions import ConfigError
+from bench.core.words.wording import format_count
+from bench.io.logs.rows import MOST_ROWS, LogRows, to_horizontal
+from bench.io.logs.table_files import MOST_BYTES
+from bench.io.trajectories.track_files import parse_clock, parse_degrees, parse_number, split_sentence
+from bench.simulation.signals.gps_time import gps_seconds, leap_seconds
+from bench.simulation.signals.orbits import DAY
+
+_LONGEST = 1000  # line [characters]
+_KNOT = 1852.0 / 3600.0  # [m/s]
+_COLUMNS = 11
+_CLOCK, _LAT, _LON, _ALT, _QUALITY, _SATELLITES, _HDOP, _SEA, _SPEED, _COURSE, _DAY = range(_COLUMNS)
+
+
+def read(form: str, path: Path, kind: str, topic: str | None) -> LogRows:
+    """Read the fixes of a file of NMEA sentences.
+
+    Raises
+    ------
+    ConfigError
+        If the file cannot be read, or contains no GGA or no date: one line.
+    """
+    if kind != "gnss":
+        use = "name the file in [gnss] or [reference] of a log"
+        raise ConfigError(f"{path.name}: no {kind.upper()} in NMEA sentences; {use}")
+    rows, day, broken = _read_epochs(path)
+    if not len(rows):
+        wrong = f", and {format_count(broken, 'sentence')} with a wrong checksum" if broken else ""
+        raise ConfigError(f"{path.name}: no GGA sentence with a time{wrong}")
+    if day is None:
+        raise ConfigError(
+            f"{path.name}: no RMC sentence with a date, which times of GGA need; let the receiver write both"
+        )
+    notes = []
+    if broken:
+        notes.append(f"{path.name}: left out: {format_count(broken, 'sentence')} with a wrong checksum")
+    if above := int(np.nansum(rows[:, _SEA])):
+        notes.append(
+            f"{path.name}: {format_count(above, 'height')} above the sea, without a geoid separation, "
+            "used as ellipsoidal"
+        )
+    values = {
+        "lla": np.column_stack([np.deg2rad(rows[:, [_LAT, _LON]]), rows[:, _ALT]]),
+        "quality": rows[:, _QUALITY],
+        "satellites": rows[:, _SATELLITES],
+        "valid": (rows[:, _QUALITY] > 0).astype(float),
+    }
+    if np.isfinite(rows[:, _HDOP]).any():
+        values["dilution"] = rows[:, [_HDOP]]
+    if np.isfinite(rows[:, _SPEED]).any():
+        values["vel_n"] = to_horizontal(rows[:, _SPEED], np.deg2rad(rows[:, _COURSE]))
+    ahead = leap_seconds(day)
+    return LogRows(rows[:, _DAY] + rows[:, _CLOCK] + ahead, values, tuple(notes))
+
+
+def _read_epochs(path: Path) -> tuple[FloatArray, date | None, int]:
+    """Return the epochs with a GGA (N, columns), the first date, and the number of damaged sentences.
+
+    The last column is the start of the day in seconds since 1980-01-06, without leap seconds. A clock that
+    goes back by more than half a day has passed midnight.
+    """
+    flat, now, first = array("d"), [math.nan] * _COLUMNS, None
+    start, days, last, broken, count = 0.0, 0.0, -1.0, 0, 0
+    try:
+        check_file(path, path.name, MOST_BYTES)
+        with path.open(encoding="latin-1") as file:
+            while line := file.readline(_LONGEST):
+                kind = line[line.find("$") + 3 :][:3]
+                if kind not in ("GGA", "RMC", "VTG") or "$" not in line:
+                    continue
+                words = split_sentence(line.strip())
+                if not words:
+                    broken += 1
+                    continue
+                t = now[_CLOCK] if kind == "VTG" else parse_clock(words[1])
+                if math.isnan(t):
+                    continue
+                if t != now[_CLOCK]:
+                    count += _keep(now, flat)
+                    if t < last - DAY / 2:
+                        days += DAY
+                    last = t
+                    now = [t, *[math.nan] * (_COLUMNS - 2), days]
+                if kind == "RMC" and first is None and (first := _parse_date(words[9])) is not None:
+                    start = gps_seconds(first.year, first.month, first.day) - days
+                _fill(now, kind, words)
+                if count > MOST_ROWS:
+                    raise ConfigError(f"{path.name}: more than {MOST_ROWS} rows")
+    except OSError as error:
+        raise ConfigError(f"{path.name}: {error.strerror or error}") from None
+    _keep(now, flat)
+    rows = np.array(flat).reshape(-1, _COLUMNS)
+    rows[:, _DAY] += start
+    return rows, first, broken
+
+
+def _keep(now: Sequence[float], flat: array[float]) -> bool:
+    """Append an epoch if it has a GGA; return whether it has."""
+    known = not math.isnan(now[_QUALITY])
+    if known:
+        flat.extend(now)
+    return known
+
+
+def _fill(now: list[float], kind: str, words: Sequence[str]) -> None:
+    """Enter the words of a sentence into its epoch."""
+    if kind == "GGA":
+        separation = parse_number(words[11])
+        height = parse_number(words[9]) + (0.0 if math.isnan(separation) else separation)
+        now[_LAT : _ALT + 1] = [parse_degrees(words[2], words[3]), parse_degrees(words[4], words[5]), height]
+        quality = parse_number(words[6])
+        now[_QUALITY : _SEA + 1] = [
+            0.0 if math.isnan(quality) else quality,
+            parse_number(words[7]),
+            parse_number(words[8]),
+            float(math.isnan(separation)),
+        ]
+    elif kind == "RMC" and words[2] == "A":
+        now[_SPEED : _COURSE + 1] = [parse_number(words[7]) * _KNOT, parse_number(words[8])]
+    elif kind == "VTG" and math.isnan(now[_SPEED]):
+        now[_SPEED : _COURSE + 1] = [parse_number(words[5]) * _KNOT, parse_number(words[1])]
+
+
+def _parse_date(text: str) -> date | None:
+    """Return the day of ddmmyy; None if it is none."""
+    try:
+        return date(2000 + int(text[4:6]), int(text[2:4]), int(text[:2]))
+    except ValueError:
+        return None
