@@ -281,9 +281,9 @@ def fit_motion(
 
 
 def _spread_factor(count: int) -> float:
-    """Return by how much the scatter of some segments counts more, as few of them say little of it.
+    """Return the factor on the scatter of segments that allows for a small number of them.
 
-    The 99 % quantile of Student's distribution, squared and in that of the normal one.
+    The squared ratio of the 99 % quantiles of Student's and the normal distribution.
     """
     free = max(count - 1, 1)
     return float(count / free * (stdtrit(free, 0.995) / ndtri(0.995)) ** 2)

@@ -63,7 +63,7 @@ def find_frame(by_position: FloatArray, by_velocity: FloatArray) -> VelocityFram
 
 
 def _follows(by_position: FloatArray, by_velocity: FloatArray) -> bool:
-    """Return whether positions move as much as velocities say, which they do not at a sampled oscillation."""
+    """Return whether positions and velocities move by equal amounts; sampled oscillations do not."""
     power = np.square(by_velocity).sum(axis=0)
     gain = (by_position * by_velocity).sum(axis=0) / np.maximum(power, 1e-12)
     moves = power > _SHARE * power.sum()

@@ -71,7 +71,12 @@ def test_who_cannot_go_over_to_another_antenna_says_so():
     initial, nose, _ = records(0)
     satellites = drawn_satellites()
     for use, options, (start, data), words in (
-        ("loose-15", {"lever_arm_sd": 0.1}, (initial, nose), "lever_arm_sd = 0.1 estimates the position of one antenna"),
+        (
+            "loose-15",
+            {"lever_arm_sd": 0.1},
+            (initial, nose),
+            "lever_arm_sd = 0.1 estimates the position of one antenna",
+        ),
         ("loose-15", {}, (replace(initial, alignment="course"), nose), "before its alignment has ended"),
         ("tight", {}, satellites, "'tight' cannot change to another antenna"),
     ):
