@@ -43,6 +43,8 @@ def _is_trajectory(path: Path) -> bool:
 
 POSES = "bench.io.logs.formats.pose_files"
 """Module of trajectories, which is imported when a file is looked at."""
+NAV = ".nav"
+"""Ending of a solution of KF-GINS."""
 MATLAB = ".mat"
 TABLES = (".csv", ".tsv", ".parquet", MATLAB)
 
@@ -95,6 +97,13 @@ def _ask(one: Installed) -> LogFormat:
         recognizes=getattr(module, "recognizes", None),
         brought_by=one.package,
     )
+
+
+def guess_solution(path: Path) -> str | None:
+    """Return the format of a solution that only a reference may be; None if it is another file."""
+    if _is_trajectory(path):
+        return "poses"
+    return "kf-gins" if path.suffix.lower() == NAV else None
 
 
 def guess_format(path: Path) -> str | None:

@@ -148,7 +148,11 @@ def read_log(
             checks.append(found)
     judge_by = None
     if spec.reference is not None:
-        judge_by = reference.read_reference(spec.reference, records.origin, float(records.imu.t.max()))
+        last = float(records.imu.t.max())
+        judge_by, aligned = reference.read_reference(
+            spec.reference, records.origin, last, records.fixes, np.asarray(spec.antenna_b)
+        )
+        checks += aligned
         checks.append(reference.check_reference(judge_by, records.fixes))
     return RecordedLog(spec, records, tuple(checks), built, judge_by)
 

@@ -119,7 +119,8 @@ def test_a_drive_comes_back(tmp_path, raw, topic, capsys):
     assert_allclose(found.fixes.lla[:, 2], gnss["lla"][:, 2], atol=1e-4)
     assert_allclose(found.fixes.vel_n, gnss["vel_n"], atol=1e-5)
     assert spec.reference is not None
-    track = read_reference(spec.reference, found.origin, float(found.imu.t[-1])).track
+    last, arm = float(found.imu.t[-1]), np.asarray(spec.antenna_b)
+    track = read_reference(spec.reference, found.origin, last, found.fixes, arm)[0].track
     assert_allclose(track.lla[:, 2], gnss["lla"][: len(track), 2] + 0.5, atol=2e-4)
     assert_allclose(track.q_nb, np.tile(from_euler(*np.deg2rad([1.0, 2.0, 30.0])), (len(track), 1)))
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.spatial.transform import Rotation
 
 import bench
 from bench.cli.command_line import main
@@ -134,6 +135,54 @@ def test_a_solution_of_rtklib_and_one_of_kf_gins_are_references(tmp_path):
         result = bench.navigate(drives.write_log(tmp_path, drives.LOG + text))
         assert result.metrics["loose-15"]["nees_states"] == states
         assert result.metrics["loose-15"]["verdict"] == "consistent"
+
+
+def pose_rows(columns):
+    """Times, positions east, north, up of the first row, and attitudes, of the other unit."""
+    lla = np.column_stack([np.deg2rad(columns["lat_deg"]), np.deg2rad(columns["lon_deg"]), columns["alt_m"]])
+    turn = [columns[f"{name}_deg"] for name in ("heading", "pitch", "roll")]
+    to_ned = Rotation.from_euler("ZYX", np.column_stack(turn), degrees=True)
+    to_enu = Rotation.from_matrix([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+    return lla, to_enu.apply(earth.local_ned(lla, lla[0])), to_enu * to_ned
+
+
+@pytest.mark.parametrize("kind", ["yaw", "se3"])
+def test_poses_in_a_local_frame_are_a_reference_once_they_are_aligned(tmp_path, kind):
+    columns = motion(5.0)
+    _, position, attitude = pose_rows(columns)
+    turn = Rotation.from_euler("z", 50.0, degrees=True)
+    flu = Rotation.from_euler("x", 180.0, degrees=True)
+    rows = np.column_stack(
+        [
+            columns["t_s"],
+            turn.apply(position) + np.array([30.0, -20.0, 5.0]),
+            (turn * attitude * flu).as_quat(),
+        ]
+    )
+    np.savetxt(tmp_path / "other.txt", rows, fmt="%.9f")
+    text = REFERENCE.format(file="other.txt") + f"align = '{kind}'\n"
+    result = bench.navigate(drives.write_log(tmp_path, drives.LOG + text))
+    found = result.metrics["loose-15"]
+    direct = navigate(tmp_path, columns).metrics["loose-15"]
+    assert "nees_mean" not in found
+    assert found["heading_rmse_deg"] == pytest.approx(direct["heading_rmse_deg"], abs=0.2)
+    assert found["pos_rmse_h_m"] == pytest.approx(direct["pos_rmse_h_m"], abs=0.05)
+    assert "degrees of freedom are taken away" in str(result.more)
+    with pytest.raises(ConfigError, match="local frame"):
+        bench.navigate(drives.write_log(tmp_path, drives.LOG + text.replace(kind, "none")))
+
+
+def test_an_sbet_is_a_reference(tmp_path):
+    columns = motion(5.0)
+    lla, _, _ = pose_rows(columns)
+    turn = [np.deg2rad(columns[f"{name}_deg"]) for name in ("roll", "pitch", "heading")]
+    vel = [columns[f"vel_{a}_mps"] for a in "ned"]
+    rows = np.column_stack([columns["t_s"], lla, *vel, *turn, np.zeros((len(lla), 7))])
+    rows = rows[columns["t_s"] >= 0.0]
+    rows.astype("<f8").tofile(tmp_path / "mission.out")
+    result = bench.navigate(drives.write_log(tmp_path, drives.LOG + REFERENCE.format(file="mission.out")))
+    assert result.metrics["loose-15"]["nees_states"] == 9
+    assert result.metrics["loose-15"]["verdict"] == "consistent"
 
 
 @pytest.mark.parametrize(

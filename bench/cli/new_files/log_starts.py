@@ -10,7 +10,8 @@ from bench.core.mathematics.arrays import FloatArray
 from bench.core.records.specs import EvaluationWindow
 from bench.core.words.exceptions import ConfigError, EstimatorError
 from bench.evaluation.motion.recorded_motion import RecordedMotion
-from bench.io.config.log import LogSpec, StartSpec
+from bench.io.config.log import LogSpec
+from bench.io.config.log_tables import StartSpec
 from bench.io.logs.log_records import LogRecords
 from bench.io.logs.log_start import HOVER, choose_stretch, find_start
 from bench.navigation.start import alignment

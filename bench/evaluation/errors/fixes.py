@@ -75,7 +75,7 @@ def point_errors(
         The motion of the IMU.
     reference : NavSolution
         The motion of the point at the same epochs (M,); NaN where it has no velocity or attitude. A
-        covariance of zero is taken as exact.
+        covariance of zero is taken as exact; if all are NaN, no NEES is computed.
     point_b : (3,) array
         The point relative to the IMU [m], b.
     imu : ImuData
@@ -107,7 +107,8 @@ def point_errors(
         T[:, :3, 6:] = -rotation.skew(arm_n)
         cov = np.where(has_attitude[:, None, None], solution.cov, 0.0)
         cov[:, :6, :6] = solution.cov[:, :6, :6]
-        P = T @ cov @ T.transpose(0, 2, 1) + np.nan_to_num(reference.cov)
+        unknown = bool(np.isnan(reference.cov).all())
+        P = T @ cov @ T.transpose(0, 2, 1) + (np.nan if unknown else np.nan_to_num(reference.cov))
         moves = bool(np.isfinite(reference.vel_n).all())
         turns = bool(np.isfinite(reference.q_nb).all() and has_attitude.any())
         counted = np.repeat([True, moves, turns], 3)

@@ -21,10 +21,11 @@ from bench.io.config.library import find_datasheet
 from bench.io.config.log_tables import (
     FileTable,
     GnssTable,
-    LogAlignmentTable,
     LogTable,
+    StartSpec,
     check_frames,
     describe_frame,
+    make_start,
 )
 from bench.io.config.overrides import (
     DatasheetChanges,
@@ -36,13 +37,19 @@ from bench.io.config.overrides import (
 from bench.io.config.profile import choose_estimators, make_choices
 from bench.io.config.tables import check_table, collect_errors
 from bench.io.config.toml_file import check_kind, read_toml
-from bench.io.log_formats import FORMATS, MATLAB, TABLES, find_format, guess_format, list_names
+from bench.io.log_formats import (
+    FORMATS,
+    MATLAB,
+    TABLES,
+    find_format,
+    guess_format,
+    guess_solution,
+    list_names,
+)
 from bench.simulation.signals.magnetic import FIRST_YEAR, LAST_YEAR
 
 RANGES = "ranges"
 """Format of a source that is the observation and navigation files of a receiver."""
-NAV = ".nav"
-"""Ending of a solution of KF-GINS, which only a reference may be."""
 WITHHOLD = 5
 """One fix in so many evaluates a log without a reference."""
 
@@ -74,20 +81,9 @@ class ReferenceSpec:
     point_b: tuple[float, float, float]  # relative to the IMU [m], b
     mounting: tuple[float, float, float]  # roll, pitch, yaw of its axes in b [rad]
     quality: tuple[int, ...]  # of the rows to use; empty: all
-
-
-@dataclass(frozen=True, slots=True)
-class StartSpec:
-    """Initial state of the filters, and how they find the rest."""
-
-    alignment: str  # "given", "level", "hover" or "course"
-    at: float  # earliest start, since the first row of the IMU [s]
-    align_for: float  # level: longest standstill to use, course: length of the track to use [s]
-    drift_sd: float  # course: sd of the angle between track and heading [rad]
-    attitude: tuple[float, float, float]  # given: roll, pitch, heading [rad]
-    tilt_sd: float  # given [rad]
-    heading_sd: float  # given, or of its source [rad]
-    heading_from: str  # level, hover: "magnetometer" or "autopilot"; empty: unknown
+    align: str | None = None  # of local positions with the fixes: "se3", "yaw" or "none"
+    frame: str | None = None  # axes of local positions, such as "enu-flu"
+    origin: tuple[float, ...] | None = None  # latitude, longitude [deg], height [m], heading [deg]
 
 
 @dataclass(frozen=True, slots=True)
@@ -265,7 +261,7 @@ def _make_spec(
         quality=table.gnss.quality if table.gnss else (),
         quality_sd=_read_classes(table.gnss.quality_sd_m if table.gnss else {}, file),
         assumed=AssumedSpecs(**assumed),
-        start=_make_start(table.alignment),
+        start=make_start(table.alignment),
         estimators=choices,
         evaluation=table.evaluation.window(),
         until=math.inf if table.evaluation.until_s is None else float(table.evaluation.until_s),
@@ -276,6 +272,9 @@ def _make_spec(
             from_imu(table.reference.position_m),
             _to_radians(table.reference.mounting_deg),
             table.reference.quality,
+            table.reference.align,
+            table.reference.frame,
+            table.reference.origin,
         )
         if table.reference and reference
         else None,
@@ -326,16 +325,15 @@ def _find_source(
     path = beside / row.file
     folder = os.path.isdir(path)  # unlike Path.is_dir, false for a name that is too long
     ending = path.suffix.lower()
-    form = row.format or ("rosbag" if folder else guess_format(path))
-    if form is None and ending == NAV and kind == "reference":
-        form = "kf-gins"
+    own = guess_solution(path) if kind == "reference" else None
+    form = row.format or own or ("rosbag" if folder else guess_format(path))
     what = f"{place}[{kind}] file = {row.file!r}"
     if not os.path.exists(path):
         wrong.append(f"{what}: no such file beside the log")
     elif form is None:
         wrong.append(f"{what}: its ending does not show the format; set format to {', '.join(list_names())}")
-    elif folder and form != "rosbag":
-        wrong.append(f"{what} is a folder; only a ROS 2 bag may be one")
+    elif folder and form not in ("rosbag", own):
+        wrong.append(f"{what} is a folder; only a ROS 2 bag or KITTI oxts may be one")
     elif form == "table" and ending not in (*TABLES, ".txt"):
         wrong.append(f"{what}: a table ends in {', '.join(TABLES)}, .txt")
     elif form != "table" and row.columns:
@@ -405,22 +403,6 @@ def _check_start(table: LogTable) -> list[str]:
     if table.gnss is None:
         wrong.append("[gnss] is missing: the start needs a position, and the evaluation needs fixes")
     return wrong
-
-
-def _make_start(row: LogAlignmentTable) -> StartSpec:
-    attitude = (row.roll_deg or 0.0, row.pitch_deg or 0.0, row.heading_deg or 0.0)
-    default = {"course": 10.0, "hover": 4.0}.get(row.kind, 60.0)  # as in a profile
-    heading_sd = 10.0 if row.heading else 2.0
-    return StartSpec(
-        alignment=row.kind,
-        at=float(row.at_s),
-        align_for=float(default if row.duration_s is None else row.duration_s),
-        drift_sd=math.radians(2.0 if row.drift_deg is None else row.drift_deg),
-        attitude=_to_radians(attitude),
-        tilt_sd=math.radians(0.5 if row.tilt_sd_deg is None else row.tilt_sd_deg),
-        heading_sd=math.radians(heading_sd if row.heading_sd_deg is None else row.heading_sd_deg),
-        heading_from=row.heading or "",
-    )
 
 
 def _to_year(day: datetime.date) -> float:

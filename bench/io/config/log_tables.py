@@ -8,6 +8,7 @@ import os
 import re
 from collections import Counter
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -186,6 +187,12 @@ class ReferenceTable(FileTable):
     """Roll, pitch, yaw of the sensor axes in the vehicle."""
     quality: Annotated[tuple[int, ...], ROWS] = ()
     """Classes of the rows that count. Default: all."""
+    align: Literal["se3", "yaw", "none"] | None = None
+    """Alignment of local positions with the fixes. Default: yaw, or none if their place is known."""
+    frame: str | None = None
+    """Axes of local positions and of the body, such as "ned-frd". Default: the axes of the format."""
+    origin: Annotated[tuple[float, float, float, float], ROWS] | None = None
+    """Latitude, longitude [deg], height [m] of a local frame, heading [deg] of its north axis."""
 
 
 class _AssumedTable(Table):
@@ -326,3 +333,34 @@ def describe_frame(row: FileTable, day: datetime.date | None, beside: Path) -> d
         frame["gyro_path"] = None if row.gyro_file is None else beside / row.gyro_file
         frame["gyro_columns"] = dict(row.gyro_columns)
     return frame
+
+
+@dataclass(frozen=True, slots=True)
+class StartSpec:
+    """Initial state of the filters, and how they find the rest."""
+
+    alignment: str  # "given", "level", "hover" or "course"
+    at: float  # earliest start, since the first row of the IMU [s]
+    align_for: float  # level: longest standstill to use, course: length of the track to use [s]
+    drift_sd: float  # course: sd of the angle between track and heading [rad]
+    attitude: tuple[float, float, float]  # given: roll, pitch, heading [rad]
+    tilt_sd: float  # given [rad]
+    heading_sd: float  # given, or of its source [rad]
+    heading_from: str  # level, hover: "magnetometer" or "autopilot"; empty: unknown
+
+
+def make_start(row: LogAlignmentTable) -> StartSpec:
+    """Return the initial state of a log in SI units."""
+    attitude = (row.roll_deg or 0.0, row.pitch_deg or 0.0, row.heading_deg or 0.0)
+    default = {"course": 10.0, "hover": 4.0}.get(row.kind, 60.0)  # as in a profile
+    heading_sd = 10.0 if row.heading else 2.0
+    return StartSpec(
+        alignment=row.kind,
+        at=float(row.at_s),
+        align_for=float(default if row.duration_s is None else row.duration_s),
+        drift_sd=math.radians(2.0 if row.drift_deg is None else row.drift_deg),
+        attitude=(math.radians(attitude[0]), math.radians(attitude[1]), math.radians(attitude[2])),
+        tilt_sd=math.radians(0.5 if row.tilt_sd_deg is None else row.tilt_sd_deg),
+        heading_sd=math.radians(heading_sd if row.heading_sd_deg is None else row.heading_sd_deg),
+        heading_from=row.heading or "",
+    )

@@ -70,9 +70,7 @@ class RunClock:
             )
         if best == _RUN:
             return 0.0, ""
-        return known[
-            best
-        ], f"its times are taken as those of {best}; t = 0 of the run is {known[best]:.12g} s"
+        return known[best], f"its clock is {best}; t = 0 of the run is {known[best]:.12g} s"
 
 
 def _list_clocks(gps: float) -> dict[str, float]:

@@ -6,21 +6,27 @@ times: the record with more rows is interpolated at the epochs of the other, nev
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from bench.core.mathematics import rotation
 from bench.core.mathematics.arrays import FloatArray
-from bench.core.mathematics.earth import difference_n, matrix_en
+from bench.core.mathematics.earth import difference_n, displace, matrix_en
 from bench.core.records.data import GnssFixes, NavSolution
 from bench.core.records.run_records import Reference
 from bench.core.words.exceptions import ConfigError
 from bench.evaluation.errors.reference_errors import take_as_read
 from bench.evaluation.errors.resampling import resample
 from bench.evaluation.motion.recorded_motion import Check
-from bench.io.config.log import NAV, ReferenceSpec, SourceSpec
+from bench.io.config.log import ReferenceSpec, SourceSpec
+from bench.io.foreign.local_frames import NONE, YAW, align
+from bench.io.foreign.run_clock import RunClock
+from bench.io.foreign.solution_rows import Placing
 from bench.io.foreign.solutions import DEVIATIONS, read_attitudes, read_solution
-from bench.io.log_formats import find_format
+from bench.io.log_formats import NAV, find_format
 from bench.io.logs import formats
+from bench.io.logs.formats.pose_files import read_poses
 from bench.io.logs.own_estimate import NEAR, look, read_truth
 from bench.io.logs.record_clock import meet_week, unwrap_week
 from bench.io.logs.rows import GNSS, MOST_ROWS, OPTIONAL, LogRows
@@ -39,8 +45,10 @@ _FEWEST = 3  # rows
 _FAR, _SIGMAS = 20.0, 5.0  # distance to the fixes that is wrong: beyond [m], and so many of their sd
 
 
-def read_reference(spec: ReferenceSpec, origin: float, last: float) -> Reference:
-    """Read the reference of a log.
+def read_reference(
+    spec: ReferenceSpec, origin: float, last: float, fixes: GnssFixes, antenna_b: FloatArray
+) -> tuple[Reference, list[Check]]:
+    """Read the reference of a log; align it with the fixes if its positions are local.
 
     Parameters
     ----------
@@ -48,6 +56,17 @@ def read_reference(spec: ReferenceSpec, origin: float, last: float) -> Reference
         The file, and how the unit is mounted.
     origin, last : float
         t = 0 on the clock of the files, and the end of the IMU record after it [s].
+    fixes : GnssFixes
+        Fixes of the log.
+    antenna_b : (3,) array
+        Their point relative to the IMU [m], b.
+
+    Returns
+    -------
+    reference : Reference
+        Without covariance if it is aligned.
+    checks : list of Check
+        The alignment.
 
     Raises
     ------
@@ -55,8 +74,18 @@ def read_reference(spec: ReferenceSpec, origin: float, last: float) -> Reference
         If the file cannot be read, has no position, or none of its rows can judge: one line.
     """
     source, shown = spec.source, spec.source.path.name
-    if source.path.suffix.lower() == NAV:
-        found = read_solution(source.path)
+    kind, is_local = NONE, source.format == "poses" and bool(read_poses(source.path).frame)
+    if source.path.suffix.lower() == NAV or is_local:
+        near = fixes.lla[np.argmax(fixes.valid)] if fixes.valid.any() else None
+        found = read_solution(source.path, placing=Placing(spec.frame, spec.origin, near))
+        if is_local:
+            shift = RunClock.of_log(0.0, last, origin).find_start(found.t + source.time_offset, "")[0]
+            found = replace(found, t=found.t - shift + origin)
+            kind = spec.align or (NONE if found.placed else YAW)
+            if kind == NONE and not found.placed:
+                raise ConfigError(
+                    f"{shown}: its local frame has no known place: set origin, or align = 'yaw' or 'se3'"
+                )
         t, lla, vel_n, q_nb = found.t, found.lla, found.vel_n, found.q_nb
         cov = np.zeros((len(t), 9, 9)) if found.cov is None else found.cov
         good = np.ones(len(t), np.bool_)
@@ -91,7 +120,20 @@ def read_reference(spec: ReferenceSpec, origin: float, last: float) -> Reference
         )
     q_b = rotation.conjugate(rotation.from_euler(*spec.mounting))
     track = _make_solution(t, lla[good], vel_n[good], rotation.multiply(q_nb[good], q_b), cov[good])
-    return Reference(track, np.asarray(spec.point_b))
+    reference = Reference(track, np.asarray(spec.point_b))
+    return (reference, []) if kind == NONE else _align(kind, reference, fixes, antenna_b, shown)
+
+
+def _align(
+    kind: str, reference: Reference, fixes: GnssFixes, antenna_b: FloatArray, shown: str
+) -> tuple[Reference, list[Check]]:
+    """Return a reference moved and turned to the fixes, and the check with the alignment."""
+    own = resample(take_as_read(reference.track, shown), fixes.t[fixes.valid])
+    arm_n = np.nan_to_num(rotation.rotate(own.q_nb, antenna_b - reference.point_b))
+    target = fixes.lla[fixes.valid]
+    found = align(kind, displace(own.lla, arm_n), target, target[0], shown)
+    check = Check("reference_alignment_m", found.residual, f"reference: {found}", True)
+    return replace(reference, track=found.apply(reference.track)), [check]
 
 
 def _read_rows(spec: ReferenceSpec) -> tuple[LogRows, FloatArray, FloatArray | None]:
@@ -155,7 +197,7 @@ def check_reference(reference: Reference, fixes: GnssFixes) -> Check:
     blocks = {"velocity": track.vel_n, "attitude": track.q_nb}
     parts = ", ".join(["position", *(name for name, values in blocks.items() if np.isfinite(values).all())])
     sd = np.sqrt(np.median(np.einsum("kii->ki", track.cov)[:, :2].mean(axis=1)))
-    exact = f"known to {sd:.3g} m" if sd > 0 else "taken as exact"
+    exact = f"known to {sd:.3g} m" if sd > 0 else "taken as exact" if sd == 0 else "of unknown accuracy"
     text = f"reference: {len(track)} rows, {track.t[0]:.2f} to {track.t[-1]:.2f} s, {parts}, {exact}"
     order = np.argsort(fixes.t, kind="stable")
     near = fixes.take(order[fixes.valid[order]])

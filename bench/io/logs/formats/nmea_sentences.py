@@ -1,6 +1,6 @@
 """Fixes in NMEA 0183 sentences: GGA, and the velocity of RMC or VTG of the same epoch.
 
-Fields: Gpgga, Gprmc and Gpvtg of docs.ros.org/en/api/nmea_msgs. The date is that of RMC. Times become GPS
+Fields: Gpgga, Gprmc and Gpvtg of docs.ros.org/en/api/nmea_msgs. The date comes from RMC. Times become GPS
 seconds since 1980-01-06.
 """
 
