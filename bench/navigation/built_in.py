@@ -60,7 +60,7 @@ _CORE = {
         "INS/GNSS/baro, 15 states and a baro bias", _LOOSE, "FusionOptions", FORWARD["loose-15"]
     ),
     "loose-22": BuiltIn(
-        "the same with GNSS Markov errors, 22 states", _LOOSE, "FusionOptions", FORWARD["loose-22"]
+        "loose-15 with GNSS Markov errors, 22 states", _LOOSE, "FusionOptions", FORWARD["loose-22"]
     ),
     "loose-mems": BuiltIn(
         "loose-22 with scale factors and g-sensitivity, 37 states",
@@ -75,13 +75,13 @@ _CORE = {
         FORWARD["loose-full"],
     ),
     "tight": BuiltIn(
-        "loose-full by ranges and rates, with states for what wanders in them; goes on with one satellite",
+        "loose-full with ranges and rates and states for their correlated errors; works with one satellite",
         "bench.navigation.models.loose_tight:Tight",
         "TightOptions",
         FORWARD["tight"],
     ),
     "smoother": BuiltIn(
-        "loose-full and a pass back over its record",
+        "loose-full with a backward pass over the record",
         "bench.navigation.models.smoother:Smoother",
         "SmootherOptions",
         {"gnss": True},
@@ -106,7 +106,7 @@ _CORE = {
         "UnscentedOptions",
     ),
     "classic-22": BuiltIn(
-        "the source's 22 states step by step, slow: the oracle of loose-22",
+        "the published filter of 22 states step by step, slow: the reference of loose-22",
         "bench.navigation.models.classic:Classic22",
         "ClassicOptions",
     ),

@@ -81,21 +81,20 @@ class GateOptions(Options):
     gate_probability: Probability = 1e-5
     """Chance of rejecting a sound measurement of a matched filter."""
     readmit_after_s: NotNegative = 10.0
-    """Time of nothing but rejections, at least three, after which a sensor is re-admitted (A-5.4.7) [s]. The
-    covariance grows for it along the states that may have made a step: position, velocity, clock of the
-    receiver, bias of the barometer, radar altimeter or magnetometer, offset of a heading, scale factor of the
-    odometer, wind, slip of the wheels. A sensor for which the filter has no such state stays out until it
-    agrees, and a satellite while half of those in view do. After an outage a fix that tells of a drift is
-    used at once."""
+    """Time with rejections only, at least three, after which a sensor is re-admitted (A-5.4.7) [s]. The
+    filter then inflates the states that can explain a step: position, velocity, clock of the receiver, bias
+    of the barometer, radar altimeter or magnetometer, offset of a heading, scale factor of the odometer,
+    wind, slip of the wheels. A sensor without such a state stays rejected until it agrees, and a satellite
+    while half of the satellites in view agree. After an outage, a fix that shows a drift is used at once."""
 
 
 class FixOptions(GateOptions):
     """Options of the filters that weight each fix separately."""
 
     fix_accuracy: FixAccuracy = "auto"
-    """Source of the noise of a fix: the datasheet, the value that the receiver reports, or the larger.
-    By itself it is the larger for a receiver with `[sky]`, whose fixes get worse with its geometry, else the
-    datasheet; a log whose fixes come with standard deviations takes "reported"."""
+    """Source of the noise of a fix: the datasheet, the value that the receiver reports, or the larger. "auto"
+    is the larger for a receiver with `[sky]`, because its accuracy depends on the geometry, "reported" for a
+    log with standard deviations of the fixes, else the datasheet."""
 
 
 class AidingOptions(FixOptions):
@@ -104,7 +103,7 @@ class AidingOptions(FixOptions):
     gnss: bool = True
     """Use GNSS."""
     baro: bool = True
-    """Use the barometer; without it and GNSS the IMU alone navigates."""
+    """Use the barometer; without barometer and GNSS the IMU alone navigates."""
     airspeed: bool = False
     """Use true airspeed, with the wind as two states."""
     magnetometer: bool = False
@@ -126,65 +125,68 @@ class IntegrityOptions(GateOptions):
     """Options of the filters that can test a measurement in more than one way."""
 
     integrity: Tests = ("nis",)
-    """Tests that every measurement has to pass: "nis", its normalized innovation squared; "trace", the ratio
-    of traces (A-5.4.7); of fixes "tolerance", their distance from the INS since the last one used (A-5.4.T),
-    and "velocity", their way against the velocities of the receiver, in the compiled filters only."""
+    """Tests that every measurement has to pass: "nis", the normalized innovation squared; "trace", the ratio
+    of traces (A-5.4.7). For fixes also "tolerance", the distance from the last used fix propagated by the INS
+    (A-5.4.T), and in compiled filters "velocity", the displacement compared with the velocities of the
+    receiver."""
     max_acceleration: Positive = 20.0
     """Largest acceleration of the aircraft between fixes, for "tolerance" [m/s^2]."""
     tolerance_sigmas: Positive = 5.0
-    """Multiple of the standard deviation of the receiver that "tolerance" grants."""
+    """Multiple of the standard deviation of the receiver that "tolerance" allows."""
 
 
 class FusionOptions(IntegrityOptions, AidingOptions):
     """Options of the compiled filters."""
 
     covariance_hz: Positive | None = 20.0
-    """Rate of the covariance step [Hz]; the rate of the IMU or more, or None from Python: every sample."""
+    """Rate of the covariance step [Hz]. A rate of the IMU or more, or None in Python, means every sample."""
     trace_ratio: Positive = 10.0
     """Limit of "trace", delta of A-5.4.7."""
     gnss_markov: bool = False
-    """Estimate the Markov part of the GNSS errors in six states: with all aiding the 22 states of A-5.4.1;
-    loose coupling only."""
+    """Estimate the Markov part of the GNSS errors in six states; with all aiding these are the 22 states of
+    A-5.4.1. Loose coupling only."""
     mems: bool = False
     """Estimate scale factors (3 + 3) and the g-sensitivity of the gyros (9)."""
     every_error: bool = False
-    """States for scale factors and misalignments (9 + 9), their asymmetry and nonlinearity (6 + 6),
-    temperature (6), g-sensitivity (9) and flicker noise (12) as far as the datasheet of the IMU names them,
-    biases that hold a rate random walk, noise for quantization and jumps."""
+    """Model every error in the datasheet of the IMU: states for scale factors and misalignments (9 + 9),
+    their asymmetry and nonlinearity (6 + 6), temperature (6), g-sensitivity (9) and flicker noise (12), a
+    rate random walk in the biases, noise for quantization and jumps."""
     compensate_latency: bool = True
-    """Compare a measurement with the state at its validity, else with that at its arrival."""
+    """Compare a measurement with the state at its time of validity, otherwise with the state at its
+    arrival."""
     adaptive_noise: Count | None = None
-    """Measurements over which the variance of a sensor is taken from its innovations; left out: the
-    datasheet's."""
+    """Number of innovations from which the variance of a sensor is estimated; by default the datasheet gives
+    the variance."""
     standstill: bool = False
-    """Use zero velocity and zero rate while the IMU stands still by its own account."""
+    """Use zero velocity and zero rate while the IMU data show a standstill."""
     time_offset_sd: NotNegative = 0.0
-    """Standard deviation of the times of fixes on the clock of the IMU [s]. Above 0, the time to add to them
-    is a state, time_offset_s."""
+    """Standard deviation of the clock offset of the fixes relative to the IMU [s]. Above 0, the time to add
+    to the fixes is a state, time_offset_s."""
     lever_arm_sd: NotNegative = 0.0
-    """Standard deviation of each component of the antenna position [m]; above 0 it is estimated."""
+    """Standard deviation of each component of the antenna position [m]; above 0 the position is estimated."""
     nonholonomic: bool = False
-    """A vehicle on wheels: its rear axle moves neither sideways nor up and down, but for slip and suspension;
-    their angles, the mounting of the IMU and the place of the axle are states."""
+    """Vehicle on wheels: the rear axle moves neither sideways nor up and down, except for slip and
+    suspension. The slip angles, the mounting of the IMU and the position of the axle are states."""
     axle_b: Place = (0.0, 0.0, 0.0)
-    """Middle of the rear axle as seen from the IMU: forward, right, down [m]."""
+    """Middle of the rear axle relative to the IMU: forward, right, down [m]."""
     axle_sd: Positive = 1.0
-    """Standard deviation of each component of that position [m]."""
+    """Standard deviation of each component of `axle_b` [m]."""
     mounting_sd_deg: Positive = 3.0
     """Standard deviation of yaw and pitch of the IMU axes in the vehicle [deg]."""
     slip_sd_deg: Positive = 0.5
-    """Wandering angle between vehicle and motion, sideways by the tyres and up by the suspension [deg]."""
+    """Standard deviation of the varying angle between vehicle and motion, due to tires and suspension
+    [deg]."""
     slip_s: Positive = 1.0
-    """Correlation time of that angle [s]."""
+    """Correlation time of the slip angle [s]."""
     coordinated: bool = False
-    """An aircraft in flight: it moves through the air along its nose, but for sideslip and angle of attack;
-    these, the wind and its gusts are states."""
+    """Aircraft in flight: it moves through the air along its nose, except for sideslip and angle of attack.
+    Sideslip, angle of attack, wind and gusts are states."""
     alpha_deg: float = 4.0
     """Angle of attack at 1 g and the usual airspeed, from the trim of the aircraft [deg]."""
     alpha_sd_deg: Positive = 2.0
-    """Standard deviation of this angle and of the alignment of the IMU with the nose [deg]."""
+    """Standard deviation of the angle of attack and of the alignment of the IMU with the nose [deg]."""
     gust_sd: Positive = 2.0
-    """Standard deviation of the gusts, per component [m/s]: 2 in moderate turbulence."""
+    """Standard deviation of the gusts per component [m/s], 2 in moderate turbulence."""
 
     @property
     def tight(self) -> bool:
@@ -269,54 +271,55 @@ class UnscentedOptions(AidingOptions):
     """Options of the filter by sigma points."""
 
     covariance_hz: Positive = 10.0
-    """Rate of the steps [Hz]; a measurement or an output takes one at once."""
+    """Rate of the covariance steps [Hz]; a measurement or an output causes an additional step."""
     spread: Annotated[float, _limited(lambda x: 0 < x <= 1, "above 0 and not above 1")] = 0.5
-    """Distance of the sigma points, in units of sqrt(n) standard deviations; 0.5 is two of them for 16
-    states."""
+    """Distance of the sigma points, in units of sqrt(n) standard deviations; 0.5 means two standard
+    deviations for 16 states."""
 
 
 class ClassicOptions(IntegrityOptions):
     """Options of the source's filter."""
 
     covariance_hz: Positive = 20.0
-    """Rate of A-5.4.4 between measurements [Hz]; F takes the mean attitude and specific force of a step."""
+    """Rate of A-5.4.4 between measurements [Hz]; F uses the mean attitude and specific force of a step."""
     discretization: Literal["van-loan", "euler"] = "van-loan"
     """Phi and Q of the inertial block: exact for F and G of the step, or E + F T and G G' T (A-5.1.D)."""
     rows: Literal[7, 8] = 7
-    """Measurements in the update; with 8, the published vector (A-5.4.3), S is singular and gets its
-    pseudo-inverse, and the answer is that of 7; epochs with a part missing or rejected use the rest of the
-    7."""
+    """Number of measurements in the update. With the published 8 (A-5.4.3), S is singular and its
+    pseudo-inverse gives the same solution as 7. If measurements are missing or rejected, the rest of the 7
+    are used."""
     form: Literal["joseph", "conventional", "potter", "carlson", "ud"] = "joseph"
-    """Form of A-5.4.4 and A-5.4.5: Joseph's, or P - K H P as printed for the generic filter, with all rows at
-    once; a square root of P or its factors U and D, a row at a time. The answer is the same."""
+    """Form of A-5.4.4 and A-5.4.5. "joseph", and "conventional" with P - K H P, use all rows at once;
+    "potter", "carlson" (a square root of P) and "ud" (its factors) use a row at a time. All give the same
+    solution."""
     covariance_precision: Literal["double", "single"] = "double"
-    """Precision of estimate, covariance and gains; the navigator is in double."""
+    """Precision of estimate, covariance and gains; the navigator always has double precision."""
     floor: Annotated[float, _limited(lambda x: 0 <= x < 1, "at least 0 and below 1")] = 0.0
-    """No standard deviation falls below this part of its value at the start (A-5.4.F); 0: no floor."""
+    """Lower limit of each standard deviation, as a fraction of its initial value (A-5.4.F); 0: no limit."""
     trace_limit: Positive = 10.0
-    """Largest ratio of "trace"; the source asks for 10 or more."""
+    """Largest ratio of "trace"; the source requires 10 or more."""
     monitor_sigmas: Positive = 5.0
-    """Difference of barometer and GNSS height, over its standard deviation, that is reported (row 8 of
+    """Difference of barometer and GNSS height, in standard deviations, above which it is reported (row 8 of
     A-5.4.3)."""
     feedback: bool = True
     """Correct the navigator (closed loop), or its output only (open loop, B-20 to B-22)."""
     correction_period: Annotated[
         float | Literal["auto"], BeforeValidator(Limit(_is_period, "0 or more, or 'auto'"))
     ] = 0.0
-    """Shortest time between two corrections [s], 0: after every update; "auto": until the attitude error
-    could reach admissible_deg by (A-5.4.10) with three standard deviations of P."""
+    """Shortest time between two corrections [s]; 0: after every update. "auto": the time until the attitude
+    error, with three standard deviations of P, could reach admissible_deg (A-5.4.10)."""
     admissible_deg: Positive = 1.0
-    """Attitude error that "auto" keeps below [deg]."""
+    """Limit of the attitude error for "auto" [deg]."""
     outage: Literal["prediction", "line", "parabola", "schuler"] = "prediction"
-    """Errors of the navigator while fixes are missing, without feedback: what A-5.4.4 predicts, or a curve
-    through the estimates before, extrapolated: in-flight calibration; P is that of the prediction."""
+    """Errors of the navigator without fixes and without feedback: the prediction of A-5.4.4, or an
+    extrapolated curve through earlier estimates (in-flight calibration), with P of the prediction."""
     outage_window: Positive = 120.0
-    """Time before an outage that the curve goes through [s]."""
+    """Time before an outage from which the curve is fitted [s]."""
     jump_white_sd: Spread = (0.0, 0.0, 0.0)
-    """Spread of the jump of a fix when the number of satellites changes: horizontal [m, each axis], height
-    [m], velocity [m/s, each axis] (A-5.2.1)."""
+    """Standard deviation of the jump of a fix when the number of satellites changes: horizontal [m, each
+    axis], height [m], velocity [m/s, each axis] (A-5.2.1)."""
     jump_markov_sd: Spread = (0.0, 0.0, 0.0)
-    """The same of the Markov part of the fixes (A-5.2.2)."""
+    """Standard deviation of the jump of the Markov part of the fixes (A-5.2.2)."""
 
     @model_validator(mode="after")
     def _across(self) -> ClassicOptions:

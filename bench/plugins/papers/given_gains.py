@@ -26,17 +26,17 @@ from bench.plugins.papers.given_gain_options import ComplementaryOptions, LeastS
 
 ESTIMATORS = {
     "fixed-gain": {
-        "title": "classic-22 with the gain of a settled filter throughout, slow",
+        "title": "classic-22 with the steady-state gain of a Kalman filter, slow",
         "model": "ClassicOptions",
         "fixed": {"form": "joseph", "covariance_precision": "double", "rows": 7},
     },
     "complementary": {
-        "title": "mutual compensation: differences of INS and aid, smoothed and taken off, slow",
+        "title": "mutual compensation: subtracts the smoothed difference of INS and aid, slow",
         "model": "bench.plugins.papers.given_gain_options:ComplementaryOptions",
         "fixed": {"form": "joseph", "covariance_precision": "double", "rows": 7},
     },
     "least-squares": {
-        "title": "least squares over the past, old measurements with less weight, slow",
+        "title": "least squares over the past with less weight for old measurements, slow",
         "model": "bench.plugins.papers.given_gain_options:LeastSquaresOptions",
         "fixed": {"form": "joseph", "covariance_precision": "double", "rows": 7},
     },
