@@ -152,4 +152,4 @@ def test_the_list_of_estimators_shows_their_options():
     assert "Options of smoother: those of loose-15, and" in text
     assert text.count("magnetometer  ") == 2  # of the compiled filters, and of ukf
     assert re.search(r"covariance_hz +20 +Rate of the covariance step \[Hz\]", text)
-    assert re.search(r"adaptive_noise +- +Measurements over which", text)
+    assert re.search(r"adaptive_noise +- +Number of innovations", text)
