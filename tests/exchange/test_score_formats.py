@@ -247,6 +247,9 @@ def test_the_clocks_of_a_log():
         ("tum", "solution-made.tum"),
         ("nmea", "solution-made.nmea"),
         ("kf-gins", "solution-made.nav"),
+        ("python-ins", "solution-made.parquet"),
+        ("mat", "run.mat"),
+        ("navego", "navego.mat"),
     ],
 )
 def test_an_export_of_a_solution_scores_what_it_scored(run, tmp_path, kind, file):

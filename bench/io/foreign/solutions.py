@@ -22,7 +22,16 @@ from bench.evaluation.errors.resampling import ForeignSolution, resample
 from bench.io.foreign.solution_rows import NOWHERE, Placing, make_solution, read_foreign_rows
 from bench.io.logs.formats.pose_files import WEEK_CLOCK, recognizes
 from bench.io.logs.formats.text import read_kf_gins_solution
-from bench.io.logs.table_files import TableColumns, check_times, find_first, group, list_names, read_table
+from bench.io.logs.table_files import (
+    MOST_BYTES,
+    TableColumns,
+    check_times,
+    find_first,
+    group,
+    list_columns,
+    list_names,
+    read_table,
+)
 from bench.io.trajectories.trajectory import KINDS, check_positions, normalize_quaternions
 
 MOST_ROWS = 3_000_000
@@ -92,7 +101,8 @@ def read_solution(path: Path, *, t_0: float = 0.0, placing: Placing = NOWHERE) -
     if path.suffix.lower() == ".nav":
         table = read_kf_gins_solution(path)
     else:
-        table = read_table(path, _ALL, _OPTIONAL, MOST_ROWS, most_values=_MOST_VALUES)
+        aliases, structure = _find_names(path)
+        table = read_table(path, _ALL, _OPTIONAL, MOST_ROWS, aliases, _MOST_VALUES, structure)
         table.check_groups(_ALL, shown)
         _check_deviations(table, shown)
     clock = WEEK_CLOCK if path.suffix.lower() == ".nav" else ""
@@ -125,6 +135,42 @@ def read_solution(path: Path, *, t_0: float = 0.0, placing: Placing = NOWHERE) -
         remarks=tuple(remarks),
         clock=clock,
     )
+
+
+_PYTHON_INS = {
+    "time_s": "time", "lat_deg": "lat", "lon_deg": "lon", "alt_m": "alt", "vel_n_mps": "VN",
+    "vel_e_mps": "VE", "vel_d_mps": "VD", "roll_deg": "roll", "pitch_deg": "pitch", "heading_deg": "heading",
+}  # fmt: skip
+_NAVEGO = {
+    "time_s": "t", "lat_rad": "lat", "lon_rad": "lon", "alt_m": "h", "vel_n_mps": "vel.1",
+    "vel_e_mps": "vel.2", "vel_d_mps": "vel.3", "roll_rad": "roll", "pitch_rad": "pitch", "yaw_rad": "yaw",
+}  # fmt: skip
+
+
+def _find_names(path: Path) -> tuple[Mapping[str, str], str | None]:
+    """Return names of columns of python-ins or NaveGo, and the structure of a MATLAB file with a solution.
+
+    Raises
+    ------
+    ConfigError
+        If more than one structure of the file can be the solution.
+    """
+    if path.suffix.lower() not in (".parquet", ".mat") or path.stat().st_size > MOST_BYTES:
+        return {}, None
+    names = list_columns(path)
+    if set(_PYTHON_INS.values()) <= set(names):
+        return _PYTHON_INS, None
+    fields: dict[str, set[str]] = {}
+    for name in names:
+        fields.setdefault(name.partition(".")[0], set()).add(name.partition(".")[2])
+    for aliases, wanted in ((_NAVEGO, set(_NAVEGO.values())), ({}, {"t_s", "lat_rad", "q_nb_w"})):
+        found = [name for name, those in fields.items() if wanted <= those]
+        found = [name for name in found if name not in ("ref", "truth")] or found
+        if len(found) > 1:
+            raise ConfigError(f"{path.name}: more than one solution: {', '.join(found)[:200]}; export one")
+        if found:
+            return aliases, found[0]
+    return {}, None
 
 
 # --- checking -----------------------------------------------------------------------------------------
