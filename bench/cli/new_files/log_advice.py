@@ -1,4 +1,4 @@
-"""Apply the advice of the checks to the keys of a log; keep the change only if more checks pass."""
+"""Apply the advice of the checks of a log: keys are changed, and kept only if the advised checks pass."""
 
 from __future__ import annotations
 
@@ -41,7 +41,8 @@ def apply_advice(name: str, console: Console, **log_options: Any) -> log_pipelin
         try:
             durable.write(trial, after)
             new = log_pipeline.read_log(str(trial), **log_options)
-            if _count_wrong(new) >= _count_wrong(log):
+            before, still = _list_wrong(log), _list_wrong(new)
+            if len(still) >= len(before) and still & {one.name for one in log.checks if one.advice}:
                 console.print(f"{name} is not changed: with the advice applied as many checks fail.")
                 break
             os.replace(trial, path)
@@ -49,9 +50,9 @@ def apply_advice(name: str, console: Console, **log_options: Any) -> log_pipelin
             trial.unlink(missing_ok=True)
         log = log_pipeline.read_log(name, **log_options)
         for (table, key), value in changed.items():
-            console.print(f"{name}: \\[{table}] {key} = {value}", soft_wrap=True)
+            console.print(f"{name}: [{table}] {key} = {value}", soft_wrap=True, markup=False)
     return log
 
 
-def _count_wrong(log: log_pipeline.RecordedLog) -> int:
-    return sum(not check.good for check in log.checks)
+def _list_wrong(log: log_pipeline.RecordedLog) -> set[str]:
+    return {check.name for check in log.checks if not check.good}
