@@ -1,1 +1,1 @@
-"""The ground floor: what two rooms or more need."""
+"""The lowest package: code that two or more packages need."""

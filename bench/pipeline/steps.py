@@ -273,7 +273,7 @@ def read_work_clock() -> float:
 
 
 def _read_cpu_clock() -> float:
-    """Return the CPU time of this process without compilations, plus that of finished child programs [s]."""
+    """Return the CPU time of this process without compilations, plus finished child programs [s]."""
     return read_work_clock() + sum(os.times()[2:4])
 
 

@@ -271,7 +271,7 @@ _SEEN_FLAGS = 0x1 | 0x2 | 0x100 | 0x400  # C, Fortran, aligned, writeable: what 
 
 
 def types_of(*arguments: Any) -> KernelTypes:
-    """Return the types of arguments as kernels are compiled for them."""
+    """Return the types of arguments for which kernels are compiled."""
     look = _describe_types(arguments)
     found = _KNOWN_TYPES.get(look)
     if found is None:

@@ -1,4 +1,4 @@
-"""The one place that writes files which stay: each is whole under its name, and on the disk, or not there.
+"""Atomic and durable writing of all permanent files: each is completely on the disk, or absent.
 
 A file is written beside, synced and renamed; a folder is made beside, synced with all in it, and renamed.
 What does not outlive its process (`scratch`, `disk_arrays`, messages to a child) and compiled code, which has
@@ -40,7 +40,7 @@ class _File(io.FileIO):
 
 @contextlib.contextmanager
 def open_binary(path: Path) -> Iterator[IO[bytes]]:
-    """Provide a binary file that gets its name, atomically, if everything succeeds.
+    """Provide a binary file that gets its name atomically if everything succeeds.
 
     After an exception nothing is left of it, and what was under the name is still there.
 
@@ -98,7 +98,7 @@ def rename(old: Path, new: Path) -> None:
 
 
 def sync_tree(root: Path) -> None:
-    """Wait until a folder and all in it, by whomever it was written, are on the disk."""
+    """Wait until a folder and all its content are on the disk."""
     for folder, _, names in os.walk(root):
         for name in names:
             with (Path(folder) / name).open("rb") as file:
@@ -123,7 +123,7 @@ def _lock(descriptor: int) -> bool:
 
 
 def _remove_abandoned(path: Path) -> None:
-    """Remove what processes that were killed have left of a file."""
+    """Remove the temporary files that killed processes have left of a file."""
     for part in path.parent.glob(f".{glob.escape(path.name)}.*{_PART}"):
         with contextlib.suppress(OSError), part.open("rb") as file:
             if _lock(file.fileno()):

@@ -60,7 +60,7 @@ def make_scratch(place: Path | None = None) -> Iterator[Path]:
 
 
 def set_aside(scratch: Path, folder: Path) -> None:
-    """Move a folder that is beside a temporary one into it.
+    """Move a folder into the temporary folder next to it.
 
     When the temporary folder is removed, it is moved back if nothing has its name by then.
     """
@@ -78,7 +78,7 @@ def remove_abandoned(place: Path) -> None:
 
 
 def _is_own(folder: Path) -> bool:
-    """Return whether it is a folder of this user and no link: others may make some in a shared place."""
+    """Return whether a path is a folder of this user and no link; others may write to a shared place."""
     try:
         found = folder.lstat()
     except OSError:

@@ -1,4 +1,4 @@
-"""Processes that bench starts: what they may take, what they print, how they end."""
+"""Processes that bench starts: limits, printed output, and how they end."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def measure_cpu(pid: int) -> float:
 
 
 def count_work(before: float, now: float, look: float) -> float:
-    """Return what a look at a process counts of its patience [s].
+    """Return the part of the time limit of a process that an observation counts [s].
 
     The CPU time that it has used since the look before; if that is none, the time between the two.
     """
@@ -62,7 +62,7 @@ class Watch:
         self._end = self._last + seconds
 
     def look(self) -> str:
-        """Return why the process is to be stopped; empty if it keeps its limits, or if this was just seen."""
+        """Return the reason to stop the process; empty if it keeps its limits, or was checked just before."""
         now = time.monotonic()
         if now < self._last + LOOK:
             return ""
@@ -88,7 +88,7 @@ class Printed:
         self._begin, self._end, self._left_out = bytearray(), bytearray(), 0
 
     def add(self, block: bytes) -> None:
-        """Take what came next."""
+        """Add the next block of output."""
         room = self._most_begin - len(self._begin)
         self._begin += block[:room]
         self._end += block[room:]
@@ -102,7 +102,7 @@ class Printed:
 
     @property
     def text(self) -> str:
-        """The two parts, and between them how much was left out."""
+        """The two parts, with the amount left out between them."""
         self._cut()
         gap = f"\n[{self._left_out} bytes left out]\n" if self._left_out and self._begin else ""
         parts = (bytes(part).decode("utf-8", errors="replace") for part in (self._begin, self._end))

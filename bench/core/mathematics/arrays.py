@@ -101,7 +101,7 @@ def join_last(parts: Sequence[ArrayLike]) -> FloatArray:
 
 
 def take_increasing(column: FloatArray, rows: IntArray) -> FloatArray:
-    """Return rows (K,), in order, of a column: a view where none between them is left out."""
+    """Return increasing rows (K,) of a column, as a view if the rows are consecutive."""
     if len(rows) and rows[-1] - rows[0] == len(rows) - 1:
         return column[rows[0] : rows[-1] + 1]
     return column[rows]
@@ -113,7 +113,7 @@ def same_array(one: FloatArray, other: FloatArray) -> bool:
 
 
 def read_only(array: NDArray[Any]) -> NDArray[Any]:
-    """Return a read-only view: columns of records are such, and kernels are compiled once, for them."""
+    """Return a read-only view, as columns of records are, for which kernels are compiled."""
     view = array.view()
     view.setflags(write=False)
     return view

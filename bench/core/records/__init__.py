@@ -1,1 +1,1 @@
-"""Records of a run, specs of what is simulated, and what was found."""
+"""Records of a run, specs of the simulation, and findings."""

@@ -1,4 +1,4 @@
-"""Specs of a flight in SI and radians: aircraft, runway, terrain, wind, legs, and what is flown."""
+"""Specs of a flight in SI and radians: aircraft, runway, terrain, wind, legs, scripts and tables."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ class AircraftSpec:
 
     @property
     def guided(self) -> bool:
-        """Whether its model has the guidance system of the bench and engines without internal state."""
+        """Return whether the model has the guidance system of bench and engines without internal state."""
         return self.foreign is None or self.foreign.guided
 
 

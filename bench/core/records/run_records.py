@@ -130,7 +130,7 @@ class ErrorSeries(Record):
 
 @declared
 class OffPath(Record):
-    """Deviation of a flight that an estimate steered from its path; NaN without a path."""
+    """Path deviation of a flight guided by an estimate; NaN without a path."""
 
     t: FloatArray = column("t_s")  # (M,) [s]
     right: FloatArray = column("right_m")  # (M,) of the truth, to the right of the path [m]

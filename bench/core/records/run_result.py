@@ -61,7 +61,7 @@ class RunResult(Rebuilt):
 
     @property
     def evaluation(self) -> EvaluationWindow:
-        """Return what its figures count."""
+        """Return the evaluation window of the run."""
         return EvaluationWindow.of_document(self.profile)
 
     @property

@@ -29,7 +29,7 @@ _DRIFT, _ACCELERATION = ("deg_h", "deg_s"), ("ug", "mg")
 
 @dataclass(frozen=True, slots=True)
 class AxisFigures:
-    """A figure of a triad whose axes differ, in its unit."""
+    """Values of a triad by axis, if the axes differ, in the unit of the file."""
 
     name: str  # field of `TriadSpec`
     x: float
@@ -146,7 +146,7 @@ class TriadSpec:
 
 @declared
 class ThermalSpec:
-    """Temperature of an IMU: from that of the air to air plus self-heating, with a time constant."""
+    """Temperature of an IMU: rises from air temperature by the self-heating, with a time constant."""
 
     reference: float = figure("degc", -60, 150, default=298.15)
     """Temperature at which the temperature errors are zero [K]."""
@@ -290,7 +290,7 @@ class SkySpec:
 
     @property
     def offset_sd(self) -> tuple[float, float, float, float]:
-        """Time of each system against that of GPS in the receiver [m]."""
+        """Time offset of each system relative to GPS in the receiver [m]."""
         return 0.0, self.glonass_offset_sd, self.galileo_offset_sd, self.beidou_offset_sd
 
     @property

@@ -25,7 +25,7 @@ LEAST_TIMEOUT = 600.0
 
 @dataclass(frozen=True, slots=True)
 class Guard:
-    """Limits for a filter that is not built in, and whether it runs in a process of its own.
+    """Limits for a filter that is not built in, and whether it runs in a separate process.
 
     Attributes
     ----------
@@ -67,7 +67,7 @@ class Guard:
         return max(LEAST_TIMEOUT, duration) if self.timeout is None else self.timeout
 
     def choose_memory(self) -> float:
-        """Return the memory that its process may take [byte]."""
+        """Return the memory limit of the process of the filter [byte]."""
         return 0.5 * machine_memory() if self.memory is None else self.memory
 
 
@@ -108,7 +108,7 @@ class EvaluationWindow:
 
     @classmethod
     def of_document(cls, document: Mapping[str, Any]) -> EvaluationWindow:
-        """Return that of a profile or the file of a log, as flown."""
+        """Return the evaluation window of a profile or log as flown."""
         return cls(**{name: float(document["evaluation"][key]) for key, name in cls.keys().items()})
 
     def describe_outside(self, end: float, of: str) -> str | None:
@@ -131,7 +131,7 @@ CLIENT = "client"
 
 @dataclass(frozen=True, slots=True)
 class Guidance:
-    """Whose estimate guidance and legs read, and how it comes to them."""
+    """The estimate that guidance and legs use, with its latency."""
 
     navigation: EstimatorChoice
     period: float  # between two answers [s], a multiple of 0.05
@@ -193,7 +193,7 @@ class Profile:
         return rate if self.guidance is None else min(rate, 1.0 / self.guidance.period)
 
     def describe_outside(self, end: float) -> list[str]:
-        """Return in words what ends after a flight [s]: outages, faults, the alignment window."""
+        """Return the outages, faults and alignment window that end after a flight [s], in words."""
         outages = enumerate(self.sensors.gnss_outages, 1)
         ends = [(f"[[gnss_outage]] {k}: its end at", stop) for k, (_, stop) in outages]
         faults = enumerate(self.sensors.faults, 1)

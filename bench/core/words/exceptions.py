@@ -80,19 +80,19 @@ class EstimatorError(BenchError):
 
 
 class EstimatorFailedError(BenchError):
-    """A filter raised, and what it raised is the cause; or its ``run`` returned no solution."""
+    """A filter raised an exception, which is the cause, or its ``run`` returned no solution."""
 
     status = BUG
 
 
 class EstimatorStoppedError(EstimatorFailedError):
-    """The process of a filter ended before it answered, or was ended at a limit."""
+    """The process of a filter ended without a result, or was ended at a limit."""
 
     status = NEGATIVE
 
 
 class FilterTraceback(Exception):  # noqa: N818 - it is a text, and the cause of an error
-    """The traceback of what a filter raised in a process of its own."""
+    """The traceback of an exception of a filter in a separate process."""
 
 
 class FlightError(BenchError):

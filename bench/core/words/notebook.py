@@ -15,7 +15,7 @@ MOST_ROWS = 30
 
 
 class ShownFigure(NamedTuple):
-    """A figure as it is shown."""
+    """A figure for display."""
 
     text: str
     bounds: str = ""  # or interval
@@ -27,7 +27,7 @@ class ShownFigure(NamedTuple):
 
 
 class ShownText(NamedTuple):
-    """A text as it is shown, where it is more than its words."""
+    """A text for display, with the class of a verdict, a tip and a link."""
 
     text: str
     kind: str = ""  # class of a verdict
@@ -75,7 +75,7 @@ def make_frame(columns: Mapping[str, Any]) -> Any:
 
 
 def load_pandas() -> Any:
-    """Return the module pandas, which bench does not install; `BenchError` if it is not there."""
+    """Return the module pandas, which bench does not install; raise `BenchError` if it is missing."""
     try:
         return import_module("pandas")
     except ImportError:

@@ -1,4 +1,4 @@
-"""Output on a stream that cannot take all of it: a verb goes on, and what it computed is kept."""
+"""Output on a stream that may be closed or full: the verb continues, and its results are kept."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _HANDLER = "bench.plain"
 
 
 class _Steady(RawIOBase):
-    """The file of a stream; once it takes nothing more, the rest is dropped and the reason kept."""
+    """The file of a stream; after a write error, the rest is dropped and the reason is kept."""
 
     def __init__(self, file: FileIO) -> None:
         self.file = file
@@ -91,14 +91,14 @@ def _steady(stream: Any) -> Any:
 
 
 def find_lost() -> OSError | None:
-    """Return why the standard output did not take all; None if it did, or its reader left."""
+    """Return the reason why the standard output is incomplete; None if it is complete or its reader ended."""
     sys.stdout.flush()
     lost = getattr(getattr(sys.stdout.buffer, "raw", None), "lost", None)
     return None if lost is None or lost.errno == errno.EPIPE else lost
 
 
 def _write_plainly(error: UnicodeError) -> tuple[str, int]:
-    """Return ASCII for the characters that a codec has none for, and where it goes on."""
+    """Return ASCII replacements for characters that a codec cannot encode, and the next position."""
     if not isinstance(error, UnicodeEncodeError):
         raise error
     wrong = error.object[error.start : error.end]

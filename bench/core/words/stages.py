@@ -1,4 +1,4 @@
-"""The argument of ``progress``: what a call is doing, and how far it is."""
+"""The argument of ``progress``: the activity of a call, and how much is done."""
 
 from __future__ import annotations
 

@@ -95,7 +95,7 @@ def _translate(wrong: str) -> str:
 
 
 def tell_where(path: str) -> str:
-    """Return the end of "no such file" for a path of a profile: a relative one is searched beside it."""
+    """Return the end of "no such file" for a path of a profile, which is relative to the profile."""
     return "" if Path(path).is_absolute() else " beside the profile"
 
 

@@ -68,7 +68,7 @@ def is_key_figure(name: str) -> bool:
 
 
 def explain_rows(names: Sequence[str]) -> list[str]:
-    """Return the explanations of table rows whose label is not enough, one text for each kind."""
+    """Return the explanations of table rows that need more than a label, one text for each kind."""
     return [text for start, text in _ROWS.items() if any(name.startswith(start) for name in names)]
 
 

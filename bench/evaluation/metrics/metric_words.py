@@ -169,5 +169,5 @@ def group_metrics(names: Iterable[str]) -> dict[str, list[str]]:
 
 
 def list_wordless() -> list[str]:
-    """Return the rows of `METRICS` whose name in words is the first line of their function."""
+    """Return the rows of `METRICS` without own words, named by the first line of their function."""
     return [metric.name for metric in METRICS if metric.name not in _WORDS]

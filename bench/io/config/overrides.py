@@ -65,7 +65,7 @@ class DatasheetChanges:
         return changed | (dict(named) if isinstance(named, Mapping) else {})
 
     def check(self, on_board: Mapping[str, Any], assumed: Mapping[str, Any]) -> list[str]:
-        """Return one line for each replaced value whose sensor does not exist."""
+        """Return one line for each replaced value of a missing sensor."""
         return [
             f"--set {key}: no {kind} is on board"
             for key in self.keys

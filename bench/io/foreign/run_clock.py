@@ -27,7 +27,7 @@ class RunClock:
 
     @classmethod
     def of_run(cls, begin: float, end: float, gps: float) -> RunClock:
-        """Return the clocks of a simulated run whose t = 0 is a GPS time since 1980-01-06 [s]."""
+        """Return the clocks of a simulated run with t = 0 at a GPS time since 1980-01-06 [s]."""
         return cls(begin, end, {_RUN: 0.0, **_list_clocks(gps)})
 
     @classmethod

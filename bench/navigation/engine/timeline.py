@@ -245,7 +245,7 @@ class ImuIntake(SessionState):
         return rows, span, events + (_list_gaps(imu, rows, span) if gaps else []), again
 
     def _hold(self, rows: IntArray, t: FloatArray, last: bool) -> tuple[IntArray, IntArray]:
-        """Return the sound rows without a last row whose time leaps ahead, and this row."""
+        """Return the sound rows without a last row that leaps ahead in time, and this row."""
         before = float(t[rows[-2]]) if len(rows) > 1 else self.before
         count = len(rows)
         if count and not last and t[rows[-1]] > before + LONGEST_BRIDGE:

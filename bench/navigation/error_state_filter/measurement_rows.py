@@ -266,7 +266,7 @@ def _vehicle_kernel(row: int, first: int, site: Site) -> int:
 
 @inner
 def _standstill_kernel(row: int, first: int, site: Site) -> int:
-    """Fill the rows of a standstill: zero velocity, and the mean rate of the gyros is that of the Earth."""
+    """Fill the rows of a standstill: zero velocity, and a mean gyro rate equal to the Earth rate."""
     now, data, _, pending, work = site
     state, C = now.state, work.C
     matrix_kernel(state, C)

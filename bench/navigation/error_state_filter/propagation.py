@@ -289,7 +289,7 @@ def noise_kernel(
 def wait_kernel(
     T: float, pending: Pending, drives: IntArray, clock: int, work: StepWork, row: FloatArray
 ) -> None:
-    """Propagate the pending rows over the interval whose F, decay and factors are in ``work``."""
+    """Propagate the pending rows over an interval, with F, decay and factors from ``work``."""
     width = pending.width
     transition_kernel(work.F, -T, work.back)
     for slot in range(pending.live.shape[0]):

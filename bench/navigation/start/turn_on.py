@@ -72,7 +72,7 @@ class TurnOn:
 
 
 class FromTurnOn(SessionState):
-    """A filter whose gyro increments have a large bias removed (`InPieces`).
+    """A filter for gyro increments with a large bias removed (`InPieces`).
 
     While the segment goes on it takes the record so far once more, from the start, whenever the bias is known
     better: in the first seconds a bias of 10 deg/s is beyond what a linear filter can learn. Where the course
@@ -181,7 +181,7 @@ def may_be_learnt(first: SensorData, initial: InitialState) -> bool:
 def smooth_from_turn_on(
     run: Run, sensors: SensorData, initial: InitialState
 ) -> tuple[NavSolution, FloatArray]:
-    """Apply `FromTurnOn` to a smoother, whose solution includes the first segment.
+    """Apply `FromTurnOn` to a smoother, with a solution that includes the first segment.
 
     The second is the bias (3,) of the gyros [rad/s] that it did not see.
     """

@@ -1,4 +1,4 @@
-"""Connection of a client during a flight: who may connect, its time limits, the speed of the flight.
+"""Connection of a client during a flight: permitted addresses, time limits, speed of the flight.
 
 An error of the client ends the session with one line.
 """

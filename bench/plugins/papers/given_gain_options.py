@@ -1,4 +1,4 @@
-"""Options of the filters whose gain does not follow from a covariance."""
+"""Options of the filters with a gain that does not follow from a covariance."""
 
 from __future__ import annotations
 

@@ -78,7 +78,7 @@ def average_nis(solutions: Iterable[NavSolution], begin: float, end: float) -> d
 
 
 def step_of_2_g() -> RowFinding:
-    """#31: NIS in a step of 2 g, also with a receiver whose loops of 1 Hz lag."""
+    """#31: NIS in a step of 2 g, also with a receiver that lags because of loops of 1 Hz."""
     whole, behind = measure_step(), measure_step(**{"sensors.gnss.tracking_bandwidth_hz": 1.0})
     text = f"{_tell_nis(whole)}; loops of 1 Hz {behind['gnss_position'].mean:.0f}"
     return RowFinding(text, _check_nis(whole, behind))

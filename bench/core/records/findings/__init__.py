@@ -16,7 +16,7 @@ from bench.core.words.wording import suggest
 
 @dataclass(frozen=True)
 class FindingTable:
-    """A table as it is shown, whoever shows it; a row with a name alone is a heading."""
+    """A table for display in any form; a row with only a name is a heading."""
 
     name: str  # of its file
     title: str
@@ -102,7 +102,7 @@ class StudyResult:
 
     @property
     def verdicts(self) -> tuple[str, ...]:
-        """Return what was found, in sentences."""
+        """Return the answer in sentences."""
         return self.findings.verdicts
 
     @property
@@ -127,10 +127,10 @@ class StudyResult:
         return make_frame(self.tables[name].columns)
 
     def __repr__(self) -> str:
-        """Return the question and what was found."""
+        """Return the question and the answer."""
         return "\n".join([f"<StudyResult {self.name}: {self.question}>", *self.verdicts])
 
     def _repr_html_(self) -> str:
-        """Return what was found, and the tables."""
+        """Return the answer and the tables."""
         tables = (write_table(table.title, table.columns) for table in self.tables.values())
         return write_sentences(self.verdicts) + "".join(tables)

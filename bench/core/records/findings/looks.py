@@ -13,7 +13,7 @@ STYLES: Mapping[Kind, str] = {"good": "green", "wide": "yellow", "bad": "bold re
 
 
 class VerdictLook(NamedTuple):
-    """The class of a verdict, and a sign for those who do not see colors."""
+    """The color class of a verdict, and a sign for output without colors."""
 
     kind: Kind
     mark: str

@@ -76,7 +76,7 @@ class Plot:
     shared: tuple[float, float] | None = None  # limits of the vertical axis that plots beside it have, too
 
     def limits(self) -> tuple[float, float]:
-        """Return where the vertical axis begins and ends: a little beyond round numbers around the values.
+        """Return the limits of the vertical axis, a little beyond round numbers around the values.
 
         The viewer writes numbers at powers of ten and their multiples as far as there is room.
         """
@@ -106,7 +106,7 @@ class Plot:
 
 
 def take_logarithms(plot: Plot) -> Plot:
-    """Return a plot with decimal logarithms on its logarithmic axes; what is not positive is left out."""
+    """Return a plot with decimal logarithms on its logarithmic axes, without values that are not positive."""
     series = list(plot.series)
     if "x" in plot.log:
         kept = [one.t > 0.0 for one in series]
@@ -230,7 +230,7 @@ def draw_dots(
     size: float = 1.5,
     labels: tuple[str, ...] = (),
 ) -> Series:
-    """Return a dot for each value, with names (N,) beside them if there are."""
+    """Return a dot for each value, with optional names (N,) beside the dots."""
     dots = Series(key, t, values[:, None], (name,), (color,), (size,), marks=True, labels=labels)
     return dots if labels else shorten(dots)
 
@@ -296,7 +296,7 @@ class Shade:
 
 
 def shades(events: Events) -> tuple[Shade, ...]:
-    """Return what is shaded: where GNSS is lost, and where faults are scripted."""
+    """Return the shaded intervals: GNSS outages and scripted faults."""
     told = (("outage", "GNSS outage", OUTAGE, "gnss_outage"), ("fault", "fault", FAULT, "fault"))
     found = (
         Shade(key, name, color, tuple((start, end) for start, end, _ in events.select(kind)))

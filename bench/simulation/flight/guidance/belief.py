@@ -77,7 +77,7 @@ class Belief:
         self._read: list[tuple[Callable[[], float], float]] = []
 
     def board(self, fdm: Any, imu_b: tuple[float, float, float]) -> None:
-        """Store the aircraft whose guidance uses this estimate."""
+        """Store the aircraft that this estimate guides."""
         self._imu_b = np.array(imu_b)
         for name, (_, unit) in _NAVIGATION.items():
             write = find_property(fdm, f"guidance/believed-{name}").set_double_value

@@ -180,7 +180,7 @@ def roll_through(cockpit: Cockpit, by: float, bank: float) -> Steps:
 
 
 def _bank_that_fits(cockpit: Cockpit, to_go: float, bank: float) -> float:
-    """Return the largest bank, up to the commanded one, whose roll in and out do not turn too far."""
+    """Return the largest bank, up to the commanded one, for which roll in and out do not turn too far."""
     while bank > math.radians(1.0) and 2 * turned_in_roll(bank, cockpit.speed()) > to_go:
         bank *= 0.95
     return bank
