@@ -1,7 +1,8 @@
 """Broadcast ephemerides from the bits of navigation messages, as receivers record them.
 
-GPS LNAV by IS-GPS-200 (20.3.3), Galileo I/NAV by the Galileo OS SIS ICD 2.0 (4.3.5), GLONASS by its ICD 5.1
-(4.4), BeiDou D1 by BDS-SIS-ICD-B1I-3.0 (5.2.4), with the tables of bits of github.com/Orolia2s/ephemerides.
+GPS LNAV by IS-GPS-200, section 20.3.3, Galileo I/NAV by the Galileo OS SIS ICD 2.0, section 4.3.5, GLONASS by
+its ICD 5.1, section 4.4, BeiDou D1 by BDS-SIS-ICD-B1I-3.0, section 5.2.4, with the tables of bits of
+github.com/Orolia2s/ephemerides.
 The parity is not tested: receivers pass on what passed it.
 """
 
