@@ -20,6 +20,7 @@ _STEP = 0.1  # of the offsets [s]
 _SPAN = 0.5  # over which both are averaged [s]
 _SLOWEST = 1.5  # ground speed from which a course counts [m/s]
 _FEWEST = 20  # intervals in a comparison
+_ROWS = 6000  # intervals of a long recording, evenly spaced
 _CLOSE = 12.0  # an offset counts if its logarithm of the likelihood is this close to the best
 _MOST = 4  # offsets that are returned
 
@@ -34,6 +35,8 @@ def find_offsets(motion: RecordedMotion) -> list[float]:
     many = max(1, round(_SPAN / usual))
     early = np.arange(len(t) - many)
     early = early[t[early + many] - t[early] < 1.5 * many * usual]
+    stride = -(-len(early) // _ROWS)
+    early, shared = early[::stride], max(many / stride, 1.0)
     late = early + many
     span = t[late] - t[early]
     force = (vel_n[late] - vel_n[early]) / span[:, None] - gravity_n(lla[early, 0], lla[early, 2])
@@ -56,7 +59,7 @@ def find_offsets(motion: RecordedMotion) -> list[float]:
                 [np.interp(end[use], motion.t, x) - np.interp(begin[use], motion.t, x) for x in integral.T],
                 axis=0,
             )
-            gain -= 0.5 * use.sum() / many * np.log1p(-(_correlate(own / span[use], size[use]) ** 2))
+            gain -= 0.5 * use.sum() / shared * np.log1p(-(_correlate(own / span[use], size[use]) ** 2))
         return float(gain)
 
     offsets = _STEP * np.arange(-round(FARTHEST / _STEP), round(FARTHEST / _STEP) + 1)
