@@ -179,3 +179,20 @@ def test_one_fix_without_velocity_shows_no_motion():
     one = moving(np.full((1, 3), np.nan), np.zeros(1), np.array([[0.7, 0.3, 50.0]]))
     assert [len(part) for part in one.take_velocities()] == [0, 0, 0]
     assert not one.moves
+
+
+def test_without_velocities_positions_show_a_standstill():
+    """10 s at 1 m/s, then 20 s at rest, positions to 1.5 cm at 10 Hz; code positions to 1 m show none."""
+    t, none = np.arange(0.0, 30.0, 0.1), np.empty((0, 3))
+    north = np.minimum(t, 10.0)
+    for sd, found in ((0.015, 1), (1.0, 0)):
+        noise = sd * np.random.default_rng(4).standard_normal((len(t), 3))
+        lla = earth.displace(
+            np.tile([0.8, 0.2, 100.0], (len(t), 1)), np.outer(north, [1.0, 0.0, 0.0]) + noise
+        )
+        motion = RecordedMotion(np.empty(0), none, none, t, lla, np.full((len(t), 3), np.nan), 0.0)
+        long = [span for span in motion.find_standstills() if span[1] - span[0] > 10.0]
+        assert len(long) == found
+        for begin, end in long:
+            assert begin == pytest.approx(10.5, abs=1.2)
+            assert end > 28.5

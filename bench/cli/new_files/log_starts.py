@@ -55,7 +55,8 @@ def choose_start(spec: LogSpec, records: LogRecords) -> ChosenStart | None:
     rests = RecordedMotion.from_records(records.imu, records.fixes).find_standstills()
     for first, last in rests:
         first = max(first, begin)
-        if min(last, end) - first > LEAST_REST + 1.0 and end - last > LEAST_REST:
+        last = min(last, end - LEAST_REST)  # what is left of a record that never moves is evaluated
+        if last - first > LEAST_REST + 1.0:
             rest = float(np.floor(min(last - first - 1.0, _LONGEST_REST)))
             if _holds(spec, records, "level", first, rest, heading):
                 return _judge_from("level", first, rest, heading, end, until)

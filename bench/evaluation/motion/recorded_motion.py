@@ -97,10 +97,15 @@ class RecordedMotion:
         return bool(np.linalg.norm(near, axis=1).max() > _MOVES)
 
     def find_standstills(self) -> list[tuple[float, float]]:
-        """Return start and end [s] of every standstill between fixes."""
-        still = np.concatenate([[False], self.speed < STILL, [False]])
+        """Return start and end [s] of every standstill, by velocities or, without them, positions."""
+        t, speed = self.fix_t, self.speed
+        if not np.isfinite(speed).any() and len(t) > _NEAR:
+            t, _, vel_n = self.take_velocities()
+            many = max(1, round(STILL_AT_LEAST / float(np.median(np.diff(t))))) if len(t) > 1 else 1
+            mean = [np.convolve(v, np.full(many, 1.0 / many), "same") for v in vel_n[:, :2].T]
+            speed = np.hypot(*mean)
+        still = np.concatenate([[False], speed < STILL, [False]])
         edges = np.flatnonzero(still[1:] != still[:-1])
-        t = self.fix_t
         spans = [(float(t[a]), float(t[b - 1])) for a, b in zip(edges[::2], edges[1::2], strict=True)]
         return [(a, b) for a, b in spans if b - a >= STILL_AT_LEAST]
 
