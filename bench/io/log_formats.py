@@ -93,7 +93,7 @@ def _ask(one: Installed) -> LogFormat:
         one.place,
         tuple(ending.lower() for ending in endings),
         bool(getattr(module, "TOPICS", False)),
-        callable(getattr(module, "look", None)),
+        knows=callable(getattr(module, "look", None)),
         recognizes=getattr(module, "recognizes", None),
         brought_by=one.package,
     )

@@ -110,7 +110,7 @@ def test_steps_of_the_fit_are_those_of_a_least_squares_over_all_unknowns(stretch
         assert_allclose(fit.rms, rms, rtol=0.02)
         assert_allclose(np.sqrt(np.diag(fit.cov)), np.sqrt(np.diag(cov)), rtol=0.05)
         scale = np.sqrt(np.diag(cov))
-        assert_allclose(fit.cov / np.outer(scale, scale), cov / np.outer(scale, scale), atol=0.03)
+        assert_allclose(fit.cov / np.outer(scale, scale), cov / np.outer(scale, scale), atol=0.1)
         assert_allclose(fit.C_nb, C_nb, atol=2e-3)
         assert_allclose(fit.heading_sd, heading_sd, rtol=0.02)
         values = after

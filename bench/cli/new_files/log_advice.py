@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -45,7 +44,7 @@ def apply_advice(name: str, console: Console, **log_options: Any) -> log_pipelin
             if len(still) >= len(before) and still & {one.name for one in log.checks if one.advice}:
                 console.print(f"{name} is not changed: with the advice applied as many checks fail.")
                 break
-            os.replace(trial, path)
+            durable.write(path, after)
         finally:
             trial.unlink(missing_ok=True)
         log = log_pipeline.read_log(name, **log_options)

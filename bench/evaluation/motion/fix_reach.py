@@ -9,16 +9,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from bench.core.mathematics.arrays import BoolArray, FloatArray
+from bench.core.mathematics.arrays import BoolArray, FloatArray, IntArray
 from bench.core.mathematics.earth import difference_n
 from bench.core.records.data import GnssFixes, ImuData
-from bench.evaluation.motion.motion_fit import NAMES, find_stretches, integrate
+from bench.evaluation.motion.motion_fit import NAMES, Stretches, find_stretches, integrate
 from bench.evaluation.motion.recorded_motion import RecordedMotion
 
 _SIGMAS = 5.0
 _SPEED_OFF, _FORCE_OFF = 1.0, 0.7  # allowed beyond the noise: late velocities [m/s], biases [m/s^2]
 _HARDEST = 5.0  # half the acceleration within which positions follow velocities between fixes [m/s^2]
 _LONGEST = 10.0  # after which a fix counts again whatever came before [s]
+_AT_ONCE = 20  # segments, which bounds the memory
 _MOST = 0.2  # share of the fixes beyond which units, axes or clocks are wrong, and not the fixes
 _NOISE = 0.1, 1.0  # least noise of a receiver's velocity [m/s] and position [m]
 
@@ -33,10 +34,21 @@ def find_reachable(imu: ImuData, fixes: GnssFixes) -> BoolArray:
     sound = np.ones(len(fixes), np.bool_)
     rows = np.flatnonzero(fixes.valid & np.isfinite(fixes.vel_n).all(axis=1))
     rows = rows[np.diff(fixes.t[rows], prepend=-np.inf) > 0]
-    stretches = find_stretches(motion.t, fixes.t[rows], fixes.lla[rows], fixes.vel_n[rows], most=None)
-    if not len(stretches):
-        return sound
-    u = integrate(stretches, motion.t, motion.gyro, motion.accel, np.zeros(len(NAMES)))[0]
+    every = find_stretches(
+        motion.t, fixes.t[rows], fixes.lla[rows], fixes.vel_n[rows], most=max(len(rows), 1)
+    )
+    for first in range(0, len(every), _AT_ONCE):
+        part = every.take(np.arange(first, min(first + _AT_ONCE, len(every))))
+        _test_stretches(part, motion, fixes, rows, sound)
+    return sound if (~sound).mean() < _MOST else np.ones_like(sound)
+
+
+def _test_stretches(
+    stretches: Stretches, motion: RecordedMotion, fixes: GnssFixes, rows: IntArray, sound: BoolArray
+) -> None:
+    """Set ``sound`` (M,) for the fixes of some segments; ``rows`` are those of all fixes that are tested."""
+    near = stretches.find_near(motion.t)
+    u = integrate(stretches, motion.t[near], motion.gyro[near], motion.accel[near], np.zeros(len(NAMES)))[0]
     at = rows[np.searchsorted(fixes.t[rows], stretches.fix_t)]
     sd_vel, sd_pos = (
         np.maximum(np.sqrt(np.einsum("mii->mi", cov)[at].max(axis=1)), least)
@@ -54,7 +66,6 @@ def find_reachable(imu: ImuData, fixes: GnssFixes) -> BoolArray:
             sound[at[k]] = (off <= limit and ahead <= far) or span > _LONGEST
             if sound[at[k]]:
                 last = k
-    return sound if (~sound).mean() < _MOST else np.ones_like(sound)
 
 
 def _find_lead(fixes: GnssFixes, early: int, late: int) -> float:

@@ -164,7 +164,10 @@ class Stretches:
 
     def take_liveliest(self, count: int) -> Stretches:
         """Return the segments in which the velocity changes most, in order of time."""
-        kept = np.sort(np.argsort(-self.change, kind="stable")[:count])
+        return self.take(np.sort(np.argsort(-self.change, kind="stable")[:count]))
+
+    def take(self, kept: IntArray) -> Stretches:
+        """Return some of the segments, by their numbers in order of time."""
         rows = np.concatenate([np.empty(0, np.int64), *(np.arange(*self.begin[k : k + 2]) for k in kept)])
         begin = np.concatenate([[0], np.cumsum(np.diff(self.begin)[kept])])
         return Stretches(
@@ -173,11 +176,11 @@ class Stretches:
 
 
 def find_stretches(
-    imu_t: FloatArray, t: FloatArray, lla: FloatArray, vel_n: FloatArray, *, most: int | None = MOST_SEGMENTS
+    imu_t: FloatArray, t: FloatArray, lla: FloatArray, vel_n: FloatArray, *, most: int | None = None
 ) -> Stretches:
     """Return the segments of an IMU with times (N,) and a receiver with times (M,) and velocities, n.
 
-    ``most``: the number of segments; those in which the velocity changes most are returned. None: all.
+    ``most``: the number of segments, default `MOST_SEGMENTS`; those in which the velocity changes most.
     """
     if len(t) < _FEWEST or len(imu_t) < 2:
         return Stretches(
@@ -213,7 +216,7 @@ def find_stretches(
         vel_n[rows],
         np.vstack([np.empty((0, 3, 3)), *(one[3] for one in found)]),
         np.array([one[0] for one in found]),
-    ).take_liveliest(len(found) if most is None else most)
+    ).take_liveliest(MOST_SEGMENTS if most is None else most)
 
 
 @dataclass(frozen=True, slots=True)
