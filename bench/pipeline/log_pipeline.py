@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -47,6 +48,7 @@ REPORTED = "fix_accuracy"
 """Option that logs whose fixes come with standard deviations set to "reported"."""
 CUTS = (10.0, 30.0, 60.0)
 """Lengths of the outages that are simulated where a recording is long enough [s]."""
+_WHOLE = 0.8  # share of an outage after which its last sound fix evaluates it [1]
 _END_OF_CUT, _SHORTEST_END = 0.1, 1.0
 """Part of a cut, and at least so long [s], in whose last a reference has to have an epoch."""
 
@@ -135,7 +137,7 @@ def read_log(
             options = {REPORTED: "reported", **choice.options}
             built[label] = build_estimator(replace(choice, options=options))
         if weighing and records.fixes.valid.any():
-            checks.append(_describe_accuracy(records))
+            checks.append(validity.describe_accuracy(records.fixes, records.reported))
     if spec.vibration:
         imu, found = assume_vibration(spec.assumed.imu, records.imu)
         spec = replace(spec, assumed=replace(spec.assumed, imu=imu))
@@ -155,21 +157,6 @@ def read_log(
         checks += aligned
         checks.append(reference.check_reference(judge_by, records.fixes))
     return RecordedLog(spec, records, tuple(checks), built, judge_by)
-
-
-def _describe_accuracy(records: LogRecords) -> Check:
-    """Return the check with a message on the weights of fixes."""
-    fixes = records.fixes
-    sd = np.sqrt(np.einsum("mii->mi", fixes.cov_pos_n[fixes.valid])[:, :2].mean(axis=1))
-    low, median, high = np.nanquantile(sd, [0.0, 0.5, 1.0])
-    spread = f"{low:.3g} to {high:.3g} m horizontally, median {median:.3g} m"
-    if high - low < 1e-3 * high:
-        spread = f"{median:.3g} m horizontally, the same for all"
-    text = (
-        f"each fix is weighed by the {records.reported} it came with: {spread}; "
-        "option fix_accuracy = 'datasheet' weighs all alike"
-    )
-    return Check("fix_accuracy_m", float(median), text, True)
 
 
 def navigate(
@@ -320,9 +307,13 @@ class Session:
             raise ConfigError(f"{spec.name}.toml: no usable fix after the start at {initial.t:.2f} s")
         if outside := spec.evaluation.describe_outside(last, "recording"):
             raise ConfigError(f"{spec.name}.toml: {outside}")
-        self.sound = find_reachable(imu, self.fixes)
         self.first, self.last = max(initial.t, spec.evaluation.begin), last
         self.observations = self._cut_observations()
+
+    @cached_property
+    def sound(self) -> BoolArray:
+        """Whether each fix (M,) agrees with the motion of the IMU."""
+        return find_reachable(self.recorded.imu, self.fixes)
 
     def _cut_observations(self) -> GnssObservations | None:
         """Return the satellite observations of the epochs between start and end."""
@@ -399,12 +390,12 @@ class Session:
     ) -> list[OutageDrift]:
         """Return the drift over an outage at several places; the filter runs once for each.
 
-        The fix that ends an outage evaluates it, or the last epoch of the reference in it.
+        The last sound fix of an outage evaluates it, or the last epoch of the reference in it.
 
         Raises
         ------
         ConfigError
-            If the reference is known at the end of none of them.
+            If none of them ends with a sound fix or an epoch of the reference.
         """
         t = self.fixes.t
         drifts = []
@@ -413,7 +404,11 @@ class Session:
             outage = float(t[before]), float(t[before]) + duration
             end = int(np.searchsorted(t, outage[1] + SAME_INSTANT, "right")) - 1
             keep = (t <= t[before]) | (t > t[end])
-            end = int(np.flatnonzero(self.sound[: end + 1])[-1]) if self.sound[before:end].any() else end
+            if self.reference is None:
+                sound = np.flatnonzero(self.sound[before + 1 : end + 1]) + before + 1
+                end = int(sound[-1]) if len(sound) else before
+                if t[end] - t[before] < _WHOLE * duration:
+                    continue  # no sound fix evaluates this place
             data = self.make_data(keep, self._list_ends(float(t[end]), duration), outage)
             solution = estimator.answer(one, label, data, self.initial)
             if self.reference is None:
@@ -435,8 +430,9 @@ class Session:
                 )
             )
         if not drifts:
+            known = "no sound fix" if self.reference is None else "[reference] is not known"
             raise ConfigError(
-                f"--outages: [reference] is known at the end of none of {places} cuts of {duration:g} s, "
+                f"--outages: {known} at the end of any of {places} cuts of {duration:g} s, "
                 f"the last of them at {t[-1]:.1f} s"
             )
         return drifts

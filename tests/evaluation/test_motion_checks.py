@@ -87,8 +87,9 @@ def test_gravity_and_rates_at_rest_by_hand(axis, gain, tilt_deg):
     assert not validity.check_rates(replace(motion, most_rate=np.deg2rad(4001.0))).good
     (nothing,) = validity.check_rest(replace(motion, vel_n=vel_n - 3.0))
     assert "shows no standstill" in nothing.text
-    (nothing,) = validity.check_rest(replace(motion, vel_n=np.full((60, 3), np.nan)))
-    assert "gives no velocity" in nothing.text
+    moved = lla + np.where(stands, 0.0, 1e-5 * np.arange(60.0))[:, None] * [1.0, 0.0, 0.0]
+    ratio, *_ = validity.check_rest(replace(motion, lla=moved, vel_n=np.full((60, 3), np.nan)))
+    assert ratio.value == pytest.approx(gain)
 
 
 @pytest.fixture(scope="module")
@@ -487,3 +488,11 @@ def test_the_tilt_of_the_mean_force_is_told_in_degrees(monkeypatch):
         assert found.value == pytest.approx(tilt)
         assert f"the up axis is {tilt:.1f} deg off" in found.text
         assert ("mounting_deg" in found.text) != good
+
+
+def test_fixes_in_close_pairs_have_no_coarse_offset(sound):
+    """Their usual step is 50 ms, and no ten of them lie within half a second."""
+    motion = RecordedMotion.from_records(sound.imu, sound.fixes)
+    t = np.sort(np.concatenate([np.arange(0.0, 60.0), np.arange(0.05, 60.0)]))
+    pairs = replace(motion, fix_t=t, lla=np.tile([0.8, 0.2, 100.0], (len(t), 1)), vel_n=np.ones((len(t), 3)))
+    assert find_offsets(pairs) == []

@@ -196,3 +196,11 @@ def test_without_velocities_positions_show_a_standstill():
         for begin, end in long:
             assert begin == pytest.approx(10.5, abs=1.2)
             assert end > 28.5
+
+
+@pytest.mark.parametrize("count", [6, 7, 12])
+def test_a_few_positions_show_no_standstill_of_two_seconds(count):
+    t, none = np.arange(count) / 10.0, np.empty((0, 3))
+    lla = np.tile([0.8, 0.2, 100.0], (count, 1))
+    motion = RecordedMotion(np.empty(0), none, none, t, lla, np.full((count, 3), np.nan), 0.0)
+    assert motion.find_standstills() == []

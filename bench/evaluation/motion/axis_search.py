@@ -41,11 +41,6 @@ class Hypothesis:
     offset: float = 0.0  # [s]
     down: float = 1.0
 
-    @property
-    def axes_are_given(self) -> bool:
-        """Return whether no axis of the IMU is exchanged or reversed."""
-        return bool((self.gyro == np.eye(3)).all() and (self.accel == np.eye(3)).all())
-
 
 AS_GIVEN = Hypothesis(np.eye(3), np.eye(3))
 
@@ -69,21 +64,23 @@ def explain(
     motion: RecordedMotion,
     antenna_b: FloatArray,
     one: Hypothesis,
-    most: int | None = None,
+    stretches: Stretches | None = None,
     iterations: int = 20,
 ) -> Explained | None:
-    """Return the fit under a hypothesis, on all stretches or the ``most`` lively ones; None without any."""
+    """Return the fit under a hypothesis, on all stretches or on those given; None without any."""
     imu_t = motion.t + one.offset
-    t, lla, vel_n = motion.take_velocities()
-    stretches = find_stretches(imu_t, t, lla, vel_n * [1.0, 1.0, one.down])
-    if most is not None:
-        stretches = stretches.take_liveliest(most)
+    stretches = _find(motion, one.offset, one.down) if stretches is None else stretches
     if not len(stretches):
         return None
     near = stretches.find_near(imu_t)
     gyro = one.unit * motion.gyro[near] @ one.gyro.T
     fit = fit_motion(stretches, imu_t[near], gyro, motion.accel[near] @ one.accel.T, antenna_b, iterations)
     return Explained(one, stretches, fit)
+
+
+def _find(motion: RecordedMotion, offset: float, down: float) -> Stretches:
+    t, lla, vel_n = motion.take_velocities()
+    return find_stretches(motion.t + offset, t, lla, vel_n * [1.0, 1.0, down])
 
 
 def list_axes() -> list[tuple[FloatArray, FloatArray]]:
@@ -123,7 +120,8 @@ def search(motion: RecordedMotion, antenna_b: FloatArray, plain: Explained) -> E
         for gyro, accel in list_axes()
         for down in (1.0, -1.0)
     ]
-    tried = [explain(motion, antenna_b, one, _STRETCHES, 1) for one in rough]
+    few = {down: _find(motion, first, down).take_liveliest(_STRETCHES) for down in (1.0, -1.0)}
+    tried = [explain(motion, antenna_b, one, few[one.down], 1) for one in rough]
     ranked = sorted((one for one in tried if one is not None), key=lambda one: one.cost)
     best = plain
     moved = float(

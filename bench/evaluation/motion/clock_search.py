@@ -35,6 +35,8 @@ def find_offsets(motion: RecordedMotion) -> list[float]:
     many = max(1, round(_SPAN / usual))
     early = np.arange(len(t) - many)
     early = early[t[early + many] - t[early] < 1.5 * many * usual]
+    if not len(early):
+        return []
     stride = -(-len(early) // _ROWS)
     early, shared = early[::stride], max(many / stride, 1.0)
     late = early + many

@@ -7,18 +7,21 @@ second differs from it by far more than biases, noise and late velocities do.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from bench.core.mathematics.arrays import BoolArray, FloatArray, IntArray
 from bench.core.mathematics.earth import difference_n
 from bench.core.records.data import GnssFixes, ImuData
 from bench.evaluation.motion.motion_fit import NAMES, Stretches, find_stretches, integrate
-from bench.evaluation.motion.recorded_motion import RecordedMotion
+from bench.evaluation.motion.recorded_motion import RecordedMotion, find_ordered
 
 _SIGMAS = 5.0
 _SPEED_OFF, _FORCE_OFF = 1.0, 0.7  # allowed beyond the noise: late velocities [m/s], biases [m/s^2]
 _HARDEST = 5.0  # half the acceleration within which positions follow velocities between fixes [m/s^2]
 _LONGEST = 10.0  # after which a fix counts again whatever came before [s]
+_STARTS = 5  # fixes of a segment that may be the first sound one
 _AT_ONCE = 20  # segments, which bounds the memory
 _MOST = 0.2  # share of the fixes beyond which units, axes or clocks are wrong, and not the fixes
 _NOISE = 0.1, 1.0  # least noise of a receiver's velocity [m/s] and position [m]
@@ -32,8 +35,7 @@ def find_reachable(imu: ImuData, fixes: GnssFixes) -> BoolArray:
     """
     motion = RecordedMotion.from_records(imu, fixes)
     sound = np.ones(len(fixes), np.bool_)
-    rows = np.flatnonzero(fixes.valid & np.isfinite(fixes.vel_n).all(axis=1))
-    rows = rows[np.diff(fixes.t[rows], prepend=-np.inf) > 0]
+    rows = find_ordered(fixes.t, fixes.valid & np.isfinite(fixes.vel_n).all(axis=1))
     every = find_stretches(
         motion.t, fixes.t[rows], fixes.lla[rows], fixes.vel_n[rows], most=max(len(rows), 1)
     )
@@ -54,18 +56,32 @@ def _test_stretches(
         np.maximum(np.sqrt(np.einsum("mii->mi", cov)[at].max(axis=1)), least)
         for cov, least in zip((fixes.cov_vel_n, fixes.cov_pos_n), _NOISE, strict=True)
     )
+
+    def agree(last: int, k: int) -> bool:
+        span = float(stretches.fix_t[k] - stretches.fix_t[last])
+        gained = np.linalg.norm(stretches.gained[k] - stretches.gained[last])
+        off = abs(float(gained - np.linalg.norm(u[k] - u[last])))
+        limit = _SPEED_OFF + _FORCE_OFF * span + _SIGMAS * float(np.hypot(sd_vel[k], sd_vel[last]))
+        ahead = _find_lead(fixes, int(at[last]), int(at[k]))
+        far = _HARDEST * span**2 + _SIGMAS * float(np.hypot(sd_pos[k], sd_pos[last]))
+        return (off <= limit and ahead <= far) or span > _LONGEST
+
     for cluster in stretches.slices:
-        last = cluster.start
-        for k in range(cluster.start + 1, cluster.stop):
-            span = float(stretches.fix_t[k] - stretches.fix_t[last])
-            gained = np.linalg.norm(stretches.gained[k] - stretches.gained[last])
-            off = abs(float(gained - np.linalg.norm(u[k] - u[last])))
-            limit = _SPEED_OFF + _FORCE_OFF * span + _SIGMAS * float(np.hypot(sd_vel[k], sd_vel[last]))
-            ahead = _find_lead(fixes, int(at[last]), int(at[k]))
-            far = _HARDEST * span**2 + _SIGMAS * float(np.hypot(sd_pos[k], sd_pos[last]))
-            sound[at[k]] = (off <= limit and ahead <= far) or span > _LONGEST
-            if sound[at[k]]:
-                last = k
+        best = _chain(range(cluster.start, cluster.stop), 0, agree)
+        for start in range(1, _STARTS):  # the first fixes may be the glitch
+            if all(best):
+                break
+            best = max(best, _chain(range(cluster.start, cluster.stop), start, agree), key=sum)
+        sound[at[cluster]] = best
+
+
+def _chain(rows: range, start: int, agree: Callable[[int, int], bool]) -> list[bool]:
+    """Return which rows agree with the sound one before them, if the first sound one is ``start``."""
+    found, last = [False] * start + [True], rows[start]
+    for k in rows[start + 1 :]:
+        found.append(agree(last, k))
+        last = k if found[-1] else last
+    return found
 
 
 def _find_lead(fixes: GnssFixes, early: int, late: int) -> float:

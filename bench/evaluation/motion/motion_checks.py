@@ -69,10 +69,10 @@ def check_motion(motion: RecordedMotion, antenna_b: FloatArray) -> tuple[list[Ch
     level = motion.accel.mean(axis=0) @ h.accel.T
     tilt = float(np.arccos(np.clip(-level[2] / np.linalg.norm(level), -1.0, 1.0)))
     if not motion.find_standstills():
-        words = f"imu: on the move the up axis is {np.rad2deg(tilt):.1f} deg off the mean specific force"
+        text = f"imu: on the move the up axis is {np.rad2deg(tilt):.1f} deg off the mean specific force"
         if tilt > LEVEL_OFF:
-            words += ": mounting_deg does not make z point down"
-        found.append(Check("level_tilt_deg", float(np.rad2deg(tilt)), words, tilt <= LEVEL_OFF))
+            text += ": mounting_deg does not make z point down"
+        found.append(Check("level_tilt_deg", float(np.rad2deg(tilt)), text, tilt <= LEVEL_OFF))
     if h.down < 0:
         text = "gnss: the vertical velocity is reversed: it is up where down is expected"
         found.append(
@@ -84,7 +84,7 @@ def check_motion(motion: RecordedMotion, antenna_b: FloatArray) -> tuple[list[Ch
         check_force_gain(fit),
     ]
     found.append(check_triads(fit))
-    unknown_arm = words and not forward
+    unknown_arm = bool(words) and not forward
     found.append(_unknown("arm_off_m", "where the antenna is") if unknown_arm else check_arm(fit, antenna_b))
     found.append(check_forward_axis(fit, best.stretches))
     return found, h
@@ -257,5 +257,4 @@ def check_forward_axis(fit: MotionFit, stretches: Stretches) -> Check:
     text = f"imu: it moves {np.rad2deg(angle):+.1f} deg right of its forward axis"
     if bad:
         text += ": mounting_deg does not make x point forward"
-    advice = {"imu.yaw_deg": float(np.rad2deg(angle))} if bad else {}
-    return Check("forward_yaw_deg", float(np.rad2deg(angle)), text, not bad, advice)
+    return Check("forward_yaw_deg", float(np.rad2deg(angle)), text, not bad)

@@ -195,9 +195,8 @@ def find_stretches(
     spin = np.array([0.0, 0.0, EARTH_RATE])
     gravity = np.einsum("kij,kj->ki", C_en, gravity_n(lla[:, 0], lla[:, 2]))
     found = []
-    for block in np.unique(blocks[blocks >= 0]):
-        rows = np.flatnonzero(blocks == block)
-        if len(rows) < _FEWEST:
+    for rows in np.split(np.arange(len(t)), np.flatnonzero(np.diff(blocks)) + 1):
+        if len(rows) < _FEWEST or blocks[rows[0]] < 0:
             continue
         since = t[rows] - t[rows[0]]
         C_ie = matrix(from_rotvec(since[:, None] * spin))

@@ -65,8 +65,8 @@ class RecordedMotion:
             rates = np.abs(measure(imu.dtheta_b, block)[imu.valid[block]])
             most = float(np.maximum(most, rates.max(initial=0.0)))
         sane = disk_arrays.fill(len(imu), find_sane, np.bool_)
-        keep = _find_ordered(imu.t, imu.valid & sane)
-        good = _find_ordered(fixes.t, fixes.valid & ~(np.abs(fixes.vel_n) > _WILD).any(axis=1))
+        keep = find_ordered(imu.t, imu.valid & sane)
+        good = find_ordered(fixes.t, fixes.valid & ~(np.abs(fixes.vel_n) > _WILD).any(axis=1))
         many = max(1, round(_STEP / float(np.median(np.diff(imu.t[keep]))))) if len(keep) > 1 else 1
         many = many if len(keep) >= many else 1
         keep = keep[: len(keep) // many * many]
@@ -101,8 +101,10 @@ class RecordedMotion:
         t, speed = self.fix_t, self.speed
         if not np.isfinite(speed).any() and len(t) > _NEAR:
             t, _, vel_n = self.take_velocities()
-            many = max(1, round(STILL_AT_LEAST / float(np.median(np.diff(t))))) if len(t) > 1 else 1
-            mean = [np.convolve(v, np.full(many, 1.0 / many), "same") for v in vel_n[:, :2].T]
+            many = round(STILL_AT_LEAST / float(np.median(np.diff(t)))) if len(t) > 1 else 1
+            window = np.ones(int(np.clip(many, 1, max(len(t), 1))))
+            count = np.convolve(np.ones(len(t)), window, "same") if len(t) else np.ones(0)
+            mean = [np.convolve(v, window, "same") / count if len(t) else v for v in vel_n[:, :2].T]
             speed = np.hypot(*mean)
         still = np.concatenate([[False], speed < STILL, [False]])
         edges = np.flatnonzero(still[1:] != still[:-1])
@@ -125,7 +127,7 @@ class RecordedMotion:
         return 0.5 * (self.fix_t[near] + self.fix_t[near + 1]), lla, vel_n
 
 
-def _find_ordered(t: FloatArray, valid: BoolArray) -> IntArray:
+def find_ordered(t: FloatArray, valid: BoolArray) -> IntArray:
     """Return the valid rows with a time after the times of all valid rows before."""
     rows = np.flatnonzero(valid)
     t = t[rows]

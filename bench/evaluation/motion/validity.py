@@ -130,8 +130,7 @@ def check_rest(motion: RecordedMotion) -> list[Check]:
     for a, b in spans:
         rows |= (motion.t > a + 0.5) & (motion.t < b - 0.5)
     if not rows.any():
-        shown = "shows no standstill" if np.isfinite(motion.speed).any() else "gives no velocity"
-        text = f"imu: the receiver {shown}; gravity and gyro bias are not checked"
+        text = "imu: the receiver shows no standstill; gravity and gyro bias are not checked"
         return [Check("gravity_ratio", None, text, True)]
     force = motion.accel[rows].mean(axis=0)
     size = float(np.linalg.norm(force))
@@ -151,6 +150,20 @@ def check_rest(motion: RecordedMotion) -> list[Check]:
     bias = np.rad2deg(motion.gyro[rows].mean(axis=0))
     text = f"imu: angular rate at rest {', '.join(f'{b:.3f}' for b in bias)} deg/s"
     return [*found, Check("rest_rate_deg_s", float(np.linalg.norm(bias)), text, True)]
+
+
+def describe_accuracy(fixes: GnssFixes, reported: str) -> Check:
+    """Return the check with a message on the weights of fixes."""
+    sd = np.sqrt(np.einsum("mii->mi", fixes.cov_pos_n[fixes.valid])[:, :2].mean(axis=1))
+    low, median, high = np.nanquantile(sd, [0.0, 0.5, 1.0])
+    spread = f"{low:.3g} to {high:.3g} m horizontally, median {median:.3g} m"
+    if high - low < 1e-3 * high:
+        spread = f"{median:.3g} m horizontally, the same for all"
+    text = (
+        f"each fix is weighed by the {reported} it came with: {spread}; "
+        "option fix_accuracy = 'datasheet' weighs all alike"
+    )
+    return Check("fix_accuracy_m", float(median), text, True)
 
 
 def check_reach(imu: ImuData, fixes: GnssFixes) -> list[Check]:
