@@ -413,22 +413,15 @@ class Session:
             solution = estimator.answer(one, label, data, self.initial)
             if self.reference is None:
                 last = self.fixes.take(np.arange(len(t)) == end)
-                errors, claims = antenna_errors(solution, last, data), solution.cov
+                errors, moved = antenna_errors(solution, last, data)
+                own = last.cov_pos_n[-1]
             else:
                 errors, moved = compare(solution, self.reference, data)
-                claims = moved.cov
+                own = np.zeros((3, 3))
             if not len(errors):
                 continue
-            error, variance = errors.pos_n[-1], np.diag(claims[-1])
-            drifts.append(
-                OutageDrift(
-                    start=float(t[before]),
-                    duration=float(errors.t[-1] - t[before]),
-                    drift=float(np.hypot(error[0], error[1])),
-                    drift_v=float(abs(error[2])),
-                    claimed=float(np.sqrt(0.5 * (variance[0] + variance[1]))),
-                )
-            )
+            span = float(t[before]), float(errors.t[-1])
+            drifts.append(OutageDrift.measure(*span, errors.pos_n[-1], moved.cov[-1], own))
         if not drifts:
             known = "no sound fix" if self.reference is None else "[reference] is not known"
             raise ConfigError(

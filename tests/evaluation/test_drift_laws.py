@@ -14,8 +14,8 @@ from bench.core.mathematics import rotation
 from bench.core.mathematics.units import DEG, STANDARD_GRAVITY
 from bench.core.records.sensor_specs import AssumedSpecs
 from bench.evaluation.linear import drift_laws
-from bench.evaluation.linear.drift_laws import RADIUS, drift_sd
-from bench.evaluation.metrics.outages import OutageDrift, make_drift_row, place_outages
+from bench.evaluation.linear.drift_laws import RADIUS, RAYLEIGH_MEDIAN, drift_sd
+from bench.evaluation.metrics.outages import OutageDrift, describe_drift, make_drift_row, place_outages
 from tests.weaving import GNSS, IMU
 
 QUIET = replace(
@@ -189,3 +189,15 @@ def test_a_row_of_drifts_has_the_quantiles_of_a_vector_of_two_axes():
     assert row["reported_median_h_m"] == pytest.approx(2.0 * np.sqrt(2.0 * np.log(2.0)), rel=1e-4)
     assert (row["places"], row["median_h_m"]) == (3, 4.0)
     assert row["rms_h_m"] == pytest.approx(np.sqrt(50.0 / 3.0))
+    assert "the fixes alone" not in describe_drift(row)
+
+
+def test_the_drift_by_a_fix_has_the_accuracy_of_the_fix():
+    """Filter 3 m and fix 4 m by axis: 5 m reported; 8 m of error are mostly the fix."""
+    both, fix = (np.diag([sd**2, sd**2, 1.0]) for sd in (5.0, 4.0))
+    one = OutageDrift.measure(10.0, 11.0, np.array([8.0, 0.0, -2.0]), both, fix)
+    assert (one.duration, one.drift, one.drift_v, one.claimed, one.fix_sd) == (1.0, 8.0, 2.0, 5.0, 4.0)
+    row = make_drift_row("x", 1.0, [one], IMU)
+    assert row["reported_median_h_m"] == pytest.approx(5.0 * RAYLEIGH_MEDIAN)
+    assert row["predicted_median_h_m"] == pytest.approx(RAYLEIGH_MEDIAN * np.hypot(drift_sd(1.0, IMU), 4.0))
+    assert describe_drift(row).endswith("; the fixes alone: 4.71 m")

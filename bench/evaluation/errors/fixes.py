@@ -27,7 +27,9 @@ _OF_TRUTH = ("outage", "coverage", "error_over", "ape", "rpe", "drift")
 """How the names of metrics begin that the errors of the fixes themselves would spoil."""
 
 
-def antenna_errors(solution: NavSolution, fixes: GnssFixes, data: SensorData) -> ErrorSeries:
+def antenna_errors(
+    solution: NavSolution, fixes: GnssFixes, data: SensorData
+) -> tuple[ErrorSeries, NavSolution]:
     """Return estimate minus fix at the antenna, for every fix at an epoch of the solution.
 
     Parameters
@@ -43,6 +45,8 @@ def antenna_errors(solution: NavSolution, fixes: GnssFixes, data: SensorData) ->
     -------
     errors : ErrorSeries
         Those of :func:`point_errors`; ``phi_n`` and ``heading`` are NaN.
+    moved : NavSolution
+        The estimate at the antenna, with the sum of its covariance and that of the fixes.
     """
     k, m = _match_instants(solution.t, fixes.t)
     fixes = fixes.take(m)
@@ -61,7 +65,7 @@ def antenna_errors(solution: NavSolution, fixes: GnssFixes, data: SensorData) ->
         extra=np.empty((len(k), 0)),
         extra_sd=np.empty((len(k), 0)),
     )
-    return point_errors(select_epochs(solution, k), reference, data.antenna_b, data.imu)[0]
+    return point_errors(select_epochs(solution, k), reference, data.antenna_b, data.imu)
 
 
 def point_errors(
@@ -134,7 +138,7 @@ def measure_by_fixes(
     The metrics are those of `metrics.run_metrics` for position, velocity and innovations: ``x`` over
     what ``evaluation`` counts, ``x_all`` over the whole recording.
     """
-    errors = antenna_errors(solution, fixes, data)
+    errors, _ = antenna_errors(solution, fixes, data)
     rows, _ = _match_instants(solution.t, errors.t)
     values: dict[str, Any] = {"converged": True, "reason": None, **describe_failure(solution)}
     if len(rows):
@@ -151,7 +155,7 @@ def measure_by_fixes(
             moved = carry_on(solution, silent)
             unexcused = (silent & ~find_excused(solution, data))[rows]
             carried = CarriedSolution(
-                antenna_errors(moved, fixes, data), select_epochs(moved, rows), unexcused
+                antenna_errors(moved, fixes, data)[0], select_epochs(moved, rows), unexcused
             )
         if len(judged):
             values = judge_epochs(

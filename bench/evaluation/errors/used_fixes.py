@@ -38,20 +38,11 @@ def measure_outages(
     """Return the drift of a solution at the fix that ends each outage, if the solution has this epoch."""
     drifts = []
     for begin, end in outages:
-        errors = antenna_errors(solution, fixes.take(fixes.t == end), data)
+        last = fixes.take(fixes.t == end)
+        errors, moved = antenna_errors(solution, last, data)
         if not len(errors) or not np.isfinite(errors.pos_n[-1]).all():
             continue
-        row = int(np.argmin(np.abs(solution.t - end)))
-        variance = np.diag(solution.cov[row])[:2]
-        drifts.append(
-            OutageDrift(
-                start=begin,
-                duration=end - begin,
-                drift=float(np.hypot(*errors.pos_n[-1, :2])),
-                drift_v=float(abs(errors.pos_n[-1, 2])),
-                claimed=float(np.sqrt(variance.mean())),
-            )
-        )
+        drifts.append(OutageDrift.measure(begin, end, errors.pos_n[-1], moved.cov[-1], last.cov_pos_n[-1]))
     return drifts
 
 

@@ -29,7 +29,17 @@ class OutageDrift:
     duration: float  # from there to the fix that ends the outage [s]
     drift: float  # horizontal error at the fix that ends the outage [m]
     drift_v: float  # vertical error there [m]
-    claimed: float  # standard deviation by axis that the filter gives there [m]
+    claimed: float  # standard deviation by axis of the drift: of filter and fix, or reference, together [m]
+    fix_sd: float = 0.0  # of it, by axis, that of the fix that measures the drift [m]
+
+    @classmethod
+    def measure(
+        cls, start: float, end: float, error_n: FloatArray, cov: FloatArray, fix_cov: FloatArray
+    ) -> OutageDrift:
+        """Return the drift by the error (3,) [m, n] at the end, its covariance and that of the fix alone."""
+        sd, fix_sd = (float(np.sqrt(0.5 * (one[0, 0] + one[1, 1]))) for one in (cov, fix_cov))
+        drift = float(np.hypot(error_n[0], error_n[1]))
+        return cls(start, end - start, drift, float(abs(error_n[2])), sd, fix_sd)
 
 
 def place_outages(first: float, last: float, duration: float, count: int) -> FloatArray:
@@ -51,7 +61,8 @@ def make_drift_row(
     """Return a row of the drift table: quantiles of the horizontal drift, measured and expected [m]."""
     drift = np.array([one.drift for one in drifts])
     median, most = estimate_quantile(drift, 0.5), estimate_quantile(drift, 0.95)
-    expected = drift_sd(duration, imu)
+    fix_sd = float(np.median([one.fix_sd for one in drifts]))
+    expected = float(np.hypot(drift_sd(duration, imu), fix_sd))
     return {
         "estimator": label,
         "duration_s": duration,
@@ -67,6 +78,7 @@ def make_drift_row(
         "reported_median_h_m": float(RAYLEIGH_MEDIAN * np.median([one.claimed for one in drifts])),
         "predicted_median_h_m": RAYLEIGH_MEDIAN * expected,
         "predicted_p95_h_m": RAYLEIGH_95 * expected,
+        "fixes_median_h_m": RAYLEIGH_MEDIAN * fix_sd,
         "starts_s": [one.start for one in drifts],
         "drifts_h_m": drift.tolist(),
     }
@@ -75,7 +87,7 @@ def make_drift_row(
 DRIFT_MEANING = (
     "With each quantile stands its 95 % confidence interval. Reported: the median by the covariance of the "
     "filter. Predicted: the median expected from bias instability and noise of the assumed datasheet, with a "
-    "perfect start."
+    "perfect start. Both include the accuracy of the fixes that measure the drift."
 )
 
 
@@ -92,9 +104,11 @@ def describe_drift(row: Mapping[str, Any]) -> str:
         for name in ("median_h_m", "reported_median_h_m", "predicted_median_h_m")
     )
     count = f"{row['places']} simulated outage{'' if row['places'] == 1 else 's'}"
+    fixes = row.get("fixes_median_h_m", 0.0)
+    noise = f"; the fixes alone: {_format_length(fixes)} m" if fixes > 0.5 * row["median_h_m"] else ""
     return (
         f"{count} of {row['duration_s']:g} s: {row['estimator']} drifts {median} (median), reports "
-        f"{claimed}; predicted from the datasheet: {law}"
+        f"{claimed}; predicted from the datasheet: {law}{noise}"
     )
 
 
