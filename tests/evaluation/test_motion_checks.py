@@ -106,6 +106,38 @@ def test_a_sound_flight_has_no_false_line(sound):
     assert not any("mounting_deg" in one.text for one in found.values())
 
 
+def shake(one, sd, seed=4):
+    """Return the record with white noise of ``sd`` [m/s] added to the velocities of its fixes."""
+    noise = sd * np.random.default_rng(seed).standard_normal(one.fixes.vel_n.shape)
+    return replace(one, fixes=replace(one.fixes, vel_n=one.fixes.vel_n + noise))
+
+
+def test_velocities_with_more_noise_than_assumed_have_it_named(sound):
+    """0.5 m/s are named with the value to set; once assumed, or beside another mistake, they are not."""
+    loud = shake(sound, 0.5)
+    found = loud.check()["velocity_sd_mps"]
+    sd = found.advice["gnss.velocity_sd_mps"]
+    assert sd == pytest.approx(0.5, rel=0.2)
+    assert f"velocity_sd_mps = {sd:g} in [gnss]" in found.text
+    cov = np.tile(sd**2 * np.eye(3), (len(loud.fixes.t), 1, 1))
+    told = replace(loud, fixes=replace(loud.fixes, cov_vel_n=cov))
+    assert "velocity_sd_mps" not in told.check()
+    spoil, names = seeded.MISTAKES["gyros 10 % too large"]
+    found = spoil(loud).check()
+    assert seeded.describe(found, names) == "found"
+    assert "velocity_sd_mps" not in found
+
+
+@pytest.mark.parametrize(
+    ("rms", "assumed", "named"), [(0.21, 0.1, True), (0.19, 0.1, False), (0.09, 0.01, False)]
+)
+def test_the_noise_of_velocities_counts_from_twice_the_assumed_on(rms, assumed, named):
+    fit = SimpleNamespace(rms=np.array([0.0, rms, 9.0]))
+    assert bool(motion_checks.check_velocity_noise(fit, assumed)) == named
+    assert motion_checks.check_velocity_noise(SimpleNamespace(rms=np.array([9.0])), assumed) == []
+    assert motion_checks.check_velocity_noise(fit, np.nan) == []
+
+
 @pytest.mark.parametrize(
     "mistake",
     [
@@ -349,8 +381,8 @@ def test_the_forward_axis_is_that_of_a_least_squares_with_a_wind():
     """Its deviation allows for courses whose errors last: evaluated where five of them are just less."""
     rng = np.random.default_rng(5)
     course = np.repeat(np.deg2rad([10.0, 80.0, 200.0, 290.0]), 10)
-    scatter = np.repeat(rng.standard_normal((4, 2)), 10, axis=0) + 0.3 * rng.standard_normal((40, 2))
-    nose = course - np.deg2rad(14.0)
+    scatter = np.repeat(rng.standard_normal((4, 2)), 10, axis=0) + 0.1 * rng.standard_normal((40, 2))
+    nose = course - np.deg2rad(16.0)
     C_nb = np.zeros((40, 3, 3))
     C_nb[:, 0, 0], C_nb[:, 1, 0] = np.cos(nose), np.sin(nose)
     fit = SimpleNamespace(heading_sd=np.full(4, 0.01), C_nb=C_nb)
@@ -374,13 +406,13 @@ def test_the_forward_axis_is_that_of_a_least_squares_with_a_wind():
 
     angle, _, found = compare(0.5)
     assert found.value == pytest.approx(np.rad2deg(angle), abs=1e-3)
-    assert "mounting_deg does not make x point forward" in found.text
+    assert "if it moves forward, mounting_deg does not make x point there" in found.text
     excess = {}
     for size in np.arange(1.0, 30.0, 0.2):
         angle, sd, found = compare(size)
         if found.value is not None:  # it moves forward
             excess[angle / sd] = found.good
-            assert found.good == (angle <= max(np.deg2rad(10.0), 5.0 * sd)), size
+            assert found.good == (angle <= max(motion_checks.YAW_OFF, 5.0 * sd)), size
     assert min(abs(ratio - 5.0) for ratio in excess) < 0.1
     assert set(excess.values()) == {True, False}
 
@@ -461,6 +493,7 @@ def test_the_limits_are_those_of_the_guide():
         f"| antenna | {motion_checks.ARM_OFF:g} m |",
         f"| forward axis | {yaw} |",
         f"| velocity | {shift}, {both} |",
+        "| noise of the velocity | twice what" if motion_checks.NOISE_OFF == 2.0 else "",
         f"{motion_checks.SIGMAS:g} standard deviations.",
     ):
         assert row in text
@@ -482,6 +515,7 @@ def test_the_tilt_of_the_mean_force_is_told_in_degrees(monkeypatch):
         motion = SimpleNamespace(
             t=np.arange(3.0), gyro=np.zeros((3, 3)), accel=np.tile(force, (3, 1)), moves=True,
             take_velocities=lambda: (), find_standstills=lambda: [], velocity_shift_sd=0.0,
+            velocity_shift=0.0, assumed_sd=1.0,
         )  # fmt: skip
         found = motion_checks.check_motion(motion, np.zeros(3))[0][0]
         assert (found.name, found.good) == ("level_tilt_deg", good)

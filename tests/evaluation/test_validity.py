@@ -159,6 +159,15 @@ def test_an_axis_is_compared_if_it_moves_at_half_a_meter_and_eight_times_its_noi
     assert ("velocity_ratio_down" in names) == compared
 
 
+def test_slow_noise_of_a_velocity_is_no_unit():
+    """Positions move half of velocities whose half is slow noise, and no unit is wrong."""
+    slow = np.sin(np.arange(4000) / np.array([[31.0], [17.0]]))
+    by_position = np.tile(slow[0], (3, 1)).T
+    for noise, factor, wrong in ((1.0, 1.0, 0), (1.0, 3.6, 3), (0.0, 2.0, 3), (1.0, -1.0, 3)):
+        by_velocity = factor * (by_position + noise * slow[1][:, None])
+        assert len(velocity_checks.check_ratios(by_position, by_velocity)) == wrong
+
+
 def test_without_enough_velocities_in_a_row_nothing_is_compared():
     said = {}
     for count in (21, 22):

@@ -68,12 +68,14 @@ def test_changes_are_added_to_what_the_log_says():
         {"imu.time_offset_s": -0.1234},
         {"gnss.position_m": [0.5, 0.0, 0.001]},
         {"gnss.velocity_offset_s": 0.2},
+        {"gnss.velocity_sd_mps": 0.4},
     ]
     changed = list_changes(tomllib.loads(TEXT), advice)
     text = write_changes(TEXT, changed)
     after = tomllib.loads(text)
     assert after["imu"] == {"file": "imu.csv", "time_offset_s": 0.377}
-    assert after["gnss"] == {"file": "gnss.csv", "position_m": [0.5, 0.0, 0.0], "velocity_offset_s": 0.2}
+    moved = {"position_m": [0.5, 0.0, 0.0], "velocity_offset_s": 0.2, "velocity_sd_mps": 0.4}
+    assert after["gnss"] == {"file": "gnss.csv", **moved}
     assert 'title = "A log"  # kept' in text
     with pytest.raises(ValueError, match=r"no line \[gnss\]"):
         write_changes("[imu]\n", {("gnss", "position_m"): [0.0, 0.0, 0.0]})

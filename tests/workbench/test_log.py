@@ -352,6 +352,7 @@ SETTINGS = [
     ("gnss position_m", ("[0.4, 0.3, -1.5]", "[0.4, 0.6, -1.5]")),
     ("gnss time_offset_s", ("[gnss]", "[gnss]\ntime_offset_s = 0.02")),
     ("velocity_offset_s", ("[gnss]", "[gnss]\nvelocity_offset_s = 0.05")),
+    ("velocity_sd_mps", ("[gnss]", "[gnss]\nvelocity_sd_mps = 0.5")),
     ("assumed imu", ('imu = "imu.toml"', 'imu = "icm-42688-p"')),
     ("assumed gnss", ('gnss = "gnss.toml"', 'gnss = "rtk-fixed"')),
     ("baro", ("[sensors.assumed]", '[baro]\nfile = "baro.csv"\n[sensors.assumed]\nbaro = "baro.toml"')),

@@ -43,6 +43,8 @@ def list_changes(
             changed["imu", "time_offset_s"] = round(imu.get("time_offset_s", 0.0) + value, _DIGITS)
         elif key == "gnss.velocity_offset_s":
             changed["gnss", "velocity_offset_s"] = round(gnss.get("velocity_offset_s", 0.0) + value, _DIGITS)
+        elif key == "gnss.velocity_sd_mps":
+            changed["gnss", "velocity_sd_mps"] = value
         elif key == "gnss.position_m":
             at = np.add(gnss.get("position_m", [0.0] * 3), value)
             changed["gnss", "position_m"] = [round(float(one), 2) for one in at]

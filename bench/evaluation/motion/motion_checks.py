@@ -15,7 +15,7 @@ from bench.core.mathematics.arrays import FloatArray
 from bench.core.mathematics.units import STANDARD_GRAVITY
 from bench.evaluation.motion.axis_names import name_axes
 from bench.evaluation.motion.axis_search import AS_GIVEN, Explained, Hypothesis, explain, search
-from bench.evaluation.motion.motion_fit import NAMES, MotionFit, Stretches, find_stretches
+from bench.evaluation.motion.motion_fit import MOTION_NOISE, NAMES, MotionFit, Stretches, find_stretches
 from bench.evaluation.motion.recorded_motion import Check, RecordedMotion
 
 SIGMAS = 5.0
@@ -31,8 +31,10 @@ TRIADS_OFF = np.deg2rad(5.0)
 ARM_OFF = 0.5
 """Allowed error of the lever arm [m]."""
 _ARM_KNOWN = 0.25  # sd of a lever arm that the motion shows [m]: half of what is known before
-YAW_OFF = np.deg2rad(10.0)
+YAW_OFF = np.deg2rad(15.0)
 """Allowed angle between the forward axis and the motion through the air or over ground [rad]."""
+NOISE_OFF = 2.0
+"""Allowed ratio of the scatter of the velocities of a receiver to what filters assume."""
 LEVEL_OFF = np.deg2rad(30.0)
 """Allowed angle from the up axis to the mean specific force on the move [rad]."""
 _MOVING = 2.0  # lowest ground speed that gives a course [m/s]
@@ -87,6 +89,8 @@ def check_motion(motion: RecordedMotion, antenna_b: FloatArray) -> tuple[list[Ch
     unknown_arm = bool(words) and not forward
     found.append(_unknown("arm_off_m", "where the antenna is") if unknown_arm else check_arm(fit, antenna_b))
     found.append(check_forward_axis(fit, best.stretches))
+    if all(one.good for one in found) and motion.velocity_shift == 0.0:
+        found += check_velocity_noise(fit, motion.assumed_sd)
     return found, h
 
 
@@ -174,6 +178,18 @@ def check_force_gain(fit: MotionFit) -> Check:
     return Check("force_gain", gain, text, not off, {"imu.accel_gain": gain} if off else {})
 
 
+def check_velocity_noise(fit: MotionFit, assumed: float) -> list[Check]:
+    """Check for velocities that scatter more, within a segment of some seconds, than ``assumed`` [m/s]."""
+    sd = float(np.median(fit.rms))
+    if not sd > NOISE_OFF * max(assumed, MOTION_NOISE) or len(fit.rms) < 2:
+        return []
+    text = (
+        f"gnss: its velocities scatter by {sd:.2g} m/s around the motion of the IMU, filters assume "
+        f"{assumed:.2g} m/s: velocity_sd_mps = {sd:.2g} in [gnss]"
+    )
+    return [Check("velocity_sd_mps", sd, text, False, {"gnss.velocity_sd_mps": float(f"{sd:.2g}")})]
+
+
 def guess_force_unit(ratio: float) -> str:
     """Return what may be wrong if specific force is off by this ratio, as the end of a line."""
     if abs(ratio * STANDARD_GRAVITY - 1.0) < 0.1:
@@ -256,5 +272,5 @@ def check_forward_axis(fit: MotionFit, stretches: Stretches) -> Check:
         return unknown
     text = f"imu: it moves {np.rad2deg(angle):+.1f} deg right of its forward axis"
     if bad:
-        text += ": mounting_deg does not make x point forward"
+        text += ": if it moves forward, mounting_deg does not make x point there"
     return Check("forward_yaw_deg", float(np.rad2deg(angle)), text, not bad)

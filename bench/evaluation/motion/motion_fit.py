@@ -49,7 +49,7 @@ _MARGIN = 1.0  # to the ends of the IMU record [s]: clocks may differ
 _FREE = 7  # steps that are taken even if the fit is worse after them
 _SHORTER = 0.3  # factor of a later step after which it is worse
 _ENOUGH = 0.01  # decrease of the cost after which an iteration is the last
-_NOISE = 0.05  # of the velocities of a receiver [m/s]: segments that fit better than this count alike
+MOTION_NOISE = 0.05  # of the velocities of a receiver [m/s]: segments that fit better than this count alike
 
 
 @kernel
@@ -260,7 +260,7 @@ def fit_motion(
     best = here = try_values(start)
     factor = 1.0
     for k in range(iterations):
-        weights = 1.0 / (np.square(here.rms) + _NOISE**2)
+        weights = 1.0 / (np.square(here.rms) + MOTION_NOISE**2)
         pull = np.einsum("w,wi->i", weights, here.scores) - here.values / PRIOR_SD**2
         normal = prior + np.einsum("w,wij->ij", weights, here.normals)
         step = np.clip(np.linalg.inv(normal) @ pull, -_LONGEST * PRIOR_SD, _LONGEST * PRIOR_SD)
@@ -274,7 +274,7 @@ def fit_motion(
             trial if k < _FREE else best
         )  # the heading of the start may be that of noise: steps go on first
         factor = 1.0 if k < _FREE or gained > 0.0 else _SHORTER * factor
-    weights = 1.0 / (np.square(best.rms) + _NOISE**2)
+    weights = 1.0 / (np.square(best.rms) + MOTION_NOISE**2)
     inverse = np.linalg.inv(prior + np.einsum("w,wij->ij", weights, best.normals))
     spread = weights[:, None] * best.scores
     cov = inverse @ (_spread_factor(len(spread)) * spread.T @ spread + prior) @ inverse
@@ -332,9 +332,11 @@ def _compare(
         scores.append(J.T @ residual)
         C_nb[rows] = np.swapaxes(stretches.C_in[rows], 1, 2) @ C_is @ C_sb[rows]
         level = stretches.C_in[rows][0][:, 2]
-        heading_sd.append(np.hypot(rms[-1], _NOISE) / max(np.linalg.norm(np.cross(level, turned)), 1e-9))
+        heading_sd.append(
+            np.hypot(rms[-1], MOTION_NOISE) / max(np.linalg.norm(np.cross(level, turned)), 1e-9)
+        )
     free = 3 * np.diff(stretches.begin) - 6
-    cost = 0.5 * float(free @ np.log(np.square(rms) + _NOISE**2)) + 0.5 * float(
+    cost = 0.5 * float(free @ np.log(np.square(rms) + MOTION_NOISE**2)) + 0.5 * float(
         np.sum((values / PRIOR_SD) ** 2)
     )
     return _FitAt(

@@ -48,6 +48,7 @@ class RecordedMotion:
     most_rate: float  # largest angular rate of any sample [rad/s]
     velocity_shift: float = 0.0  # to add to the times of the velocities [s]
     velocity_shift_sd: float = 0.0  # of it; 0 without velocities [s]
+    assumed_sd: float = np.nan  # of the velocities along an axis, as filters take it: their median [m/s]
 
     @classmethod
     def from_records(cls, imu: ImuData, fixes: GnssFixes) -> RecordedMotion:
@@ -80,7 +81,11 @@ class RecordedMotion:
             for increments in (imu.dtheta_b, imu.dvel_b)
         )
         t = disk_arrays.take(imu.t, keep[many - 1 :: many])
-        return cls(t, gyro, accel, fixes.t[good], fixes.lla[good], fixes.vel_n[good], most)
+        moving = good[np.isfinite(fixes.vel_n[good]).all(axis=1)]
+        variance = np.einsum("mii->m", fixes.cov_vel_n[moving]) / 3.0
+        assumed = float(np.sqrt(np.median(variance))) if len(moving) else np.nan
+        fix_t, lla, vel_n = fixes.t[good], fixes.lla[good], fixes.vel_n[good]
+        return cls(t, gyro, accel, fix_t, lla, vel_n, most, assumed_sd=assumed)
 
     @property
     def speed(self) -> FloatArray:

@@ -6,7 +6,7 @@ import datetime
 import math
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -102,6 +102,7 @@ class LogSpec:
     misalignment: tuple[float, float, float]  # remaining rotation after the mounting, in b [rad]
     antenna_b: tuple[float, float, float]  # relative to the IMU [m], b
     velocity_offset: float  # time of the velocity minus time of the fix [s]
+    velocity_sd: float | None  # of the velocity along each axis [m/s]; None: as the file or datasheet says
     quality: tuple[int, ...]  # of the fixes to use; empty: all
     quality_sd: Mapping[int, float]  # by class of quality: of each axis of a fix [m]; empty: not told
     assumed: AssumedSpecs
@@ -245,6 +246,10 @@ def _make_spec(
 
     withhold = table.evaluation.withhold
     assert withhold is not None
+    velocity_sd = table.gnss.velocity_sd_mps if table.gnss else None
+    if velocity_sd is not None:
+        white = {"vel_white_sd": velocity_sd, "vel_v_white_sd": velocity_sd, "vel_markov_sd": 0.0}
+        assumed = {**assumed, "gnss": replace(assumed["gnss"], **white)}
     return LogSpec(
         name=name,
         title=table.title or name,
@@ -258,6 +263,7 @@ def _make_spec(
         misalignment=_to_radians(table.imu.misalignment_deg),
         antenna_b=from_imu(gnss_at),
         velocity_offset=float(table.gnss.velocity_offset_s) if table.gnss else 0.0,
+        velocity_sd=velocity_sd,
         quality=table.gnss.quality if table.gnss else (),
         quality_sd=_read_classes(table.gnss.quality_sd_m if table.gnss else {}, file),
         assumed=AssumedSpecs(**assumed),
@@ -351,9 +357,11 @@ def _find_ranges(row: GnssTable, beside: Path, place: str, wrong: list[str]) -> 
     if row.file or not (row.observations and row.navigation):
         wrong.append(f"{place}[gnss] give either file, or both observations and navigation")
         return None
-    keys = ("format", "topic", "columns", "velocity_offset_s", "quality", "quality_sd_m", "clock")
+    keys = ["format", "topic", "columns", "velocity_offset_s", "velocity_sd_mps", "quality", "quality_sd_m"]
     found = [
-        f"{key} is for fixes in a file, not for observations" for key in keys if key in row.model_fields_set
+        f"{key} is for fixes in a file, not for observations"
+        for key in (*keys, "clock")
+        if key in row.model_fields_set
     ]
     observations, navigation = (
         tuple(beside / name for name in files) for files in (row.observations, row.navigation)

@@ -157,6 +157,8 @@ class GnssTable(FileTable):
     """Position of the antenna from the same point."""
     velocity_offset_s: _Shift = 0.0
     """Time from a fix to its velocity."""
+    velocity_sd_mps: Annotated[float, between(1e-3, 1e3)] | None = None
+    """Standard deviation of its velocity along each axis. Default: as reported, else as on the datasheet."""
     quality: Annotated[tuple[int, ...], ROWS] = ()
     """Classes of the fixes that count. Default: all."""
     quality_sd_m: dict[str, Annotated[float, between(1e-4, 1e4)]] = Field(default_factory=dict)

@@ -269,6 +269,7 @@ def _make_fixes(rows: LogRows, spec: LogSpec, origin: float) -> GnssFixes:
     pos_sd = np.array([h, h, np.hypot(gnss.pos_v_white_sd, gnss.pos_v_markov_sd)])
     vel_sd = np.hypot(gnss.vel_white_sd_n, gnss.vel_markov_sd)
     pos_factor, vel_factor = _weigh_by_report(values, spec, pos_sd, len(t))
+    told = {} if spec.velocity_sd is not None else values
     return GnssFixes(
         t=t,
         t_arrival=_find_arrival(rows, origin),
@@ -276,7 +277,7 @@ def _make_fixes(rows: LogRows, spec: LogSpec, origin: float) -> GnssFixes:
         lla=lla,
         vel_n=vel_n,
         cov_pos_n=_make_covariance(values, "pos", pos_sd * pos_factor),
-        cov_vel_n=_make_covariance(values, "vel", vel_sd * vel_factor),
+        cov_vel_n=_make_covariance(told, "vel", vel_sd * vel_factor),
         satellites=np.nan_to_num(values.get("satellites", np.zeros(len(t)))).astype(np.int64),
     )
 
