@@ -2,7 +2,7 @@
 
 ``python -m tests.evaluation.diagnosis [--draws N] [--seed S] [--sound N] [--pairs]`` prints the table of the
 guide. A mistake is named if the advice of the checks, followed, leaves a recording without it, and no line
-remains that is not its own. What the motion does not show counts as named only if no other line is wrong.
+remains that is not its own. It is not shown if what is left of it is unknown in the sound recording, too.
 """
 
 from __future__ import annotations
@@ -145,11 +145,21 @@ def follow(one: Recorded, checks: Mapping[str, Check]) -> Recorded:
     return one
 
 
-def describe(
-    sound: Recorded, spoiled: Recorded, names: Sequence[str], one_way: bool, late: float
-) -> tuple[str, list[str]]:
-    """Return what the checks say of mistakes: named, partly, missed or false, and the wrong lines."""
-    checks = spoiled.check()
+def judge(vehicle: str, seed: int, names: Sequence[str]) -> tuple[str, list[str]]:
+    """Return what becomes of mistakes in one drawn recording, and the wrong lines."""
+    r = np.random.default_rng([seed, 7])
+    late = float(r.uniform(0.1, 0.5))
+    sound = random_motions.draw(vehicle, seed)
+    spoiled = random_motions.draw(vehicle, seed, late) if LATE in names else sound
+    for name in names:
+        spoiled = MISTAKES[name](spoiled, r)
+    return describe(sound, spoiled, names, late if LATE in names else 0.0)
+
+
+def describe(sound: Recorded, spoiled: Recorded, names: Sequence[str], late: float) -> tuple[str, list[str]]:
+    """Return what the checks say of mistakes: named, not shown, partly, missed or false, and the lines."""
+    checks, before = spoiled.check(), sound.check()
+    one_way = before["forward_yaw_deg"].value is not None
     own = {check for name in names for check in OWN[name]}
     wrong = [c for c in checks.values() if not c.good]
     open_clock = late > 0 and _EITHER in checks["imu_shift_s"].text
@@ -157,7 +167,11 @@ def describe(
     if false:
         return "false", false
     mended = follow(spoiled, checks)
+    hidden = [name for name, check in _UNKNOWN.items() if name in names and before[check].value is None]
     left = _differ(sound, mended, one_way, checks["arm_off_m"].text, late)
+    for name, check in _UNKNOWN.items():
+        if name in names and name not in hidden and not open_clock and checks[check].value is None:
+            left.append(f"{name}: {checks[check].text}")
     unknown = checks["imu_shift_s"].value is None
     shift = sum(c.advice.get("imu.time_offset_s", 0.0) for c in wrong)
     clock = float(np.median(mended.imu.t - sound.imu.t)) if not open_clock else 0.0
@@ -167,12 +181,14 @@ def describe(
     if abs(late + heard) > _CLOCK and not open_clock and checks["velocity_shift_s"].value is not None:
         left.append(f"velocity late by {late:.3f}, advice {heard:+.3f}")
     if not left:
-        return "named", []
+        return ("not shown" if hidden else "named"), []
     return ("missed" if not wrong else "partly"), [*left, *(c.text for c in wrong)]
 
 
 _EITHER = "or its velocity alone is late"
 _CLOCK = 0.06  # [s]
+_UNKNOWN = {"clock": "imu_shift_s", LATE: "velocity_shift_s", "lever arm": "arm_off_m"}
+"""Mistakes that a motion need not show, and the checks that say so."""
 
 
 def _gain(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -231,7 +247,6 @@ def main(arguments: Sequence[str]) -> None:
         )
     sets = list(combinations(MISTAKES, 2)) if asked.pairs else [(name,) for name in MISTAKES]
     total = Counter[str]()
-    forward = {}
     for names in sets:
         if asked.only and asked.only not in " + ".join(names):
             continue
@@ -239,19 +254,9 @@ def main(arguments: Sequence[str]) -> None:
         for vehicle in motions:
             for k in range(asked.draws):
                 seed = 1000 * asked.seed + k
-                sound = random_motions.draw(vehicle, seed)
-                r = np.random.default_rng([seed, 7])
-                late = float(r.uniform(0.1, 0.5))
-                spoiled = random_motions.draw(vehicle, seed, late) if LATE in names else sound
-                for name in names:
-                    spoiled = MISTAKES[name](spoiled, r)
-                if (vehicle, seed) not in forward:
-                    forward[vehicle, seed] = sound.check()["forward_yaw_deg"].value is not None
-                what, why = describe(
-                    sound, spoiled, names, forward[vehicle, seed], late if LATE in names else 0.0
-                )
+                what, why = judge(vehicle, seed, names)
                 became[what] += 1
-                if what != "named":
+                if what not in ("named", "not shown"):
                     lines.append(f"    {vehicle} {seed}: {what} {why}")
         total += became
         print(f"{' + '.join(names)}: {dict(became)}", flush=True)
