@@ -407,7 +407,7 @@ class Session:
             if self.reference is None:
                 sound = np.flatnonzero(self.sound[before + 1 : end + 1]) + before + 1
                 end = int(sound[-1]) if len(sound) else before
-                if t[end] - t[before] < _WHOLE * duration:
+                if t[end] - t[before] < _WHOLE * duration - SAME_INSTANT:
                     continue  # no sound fix evaluates this place
             data = self.make_data(keep, self._list_ends(float(t[end]), duration), outage)
             solution = estimator.answer(one, label, data, self.initial)

@@ -132,10 +132,29 @@ def test_velocities_with_more_noise_than_assumed_have_it_named(sound):
     ("rms", "assumed", "named"), [(0.21, 0.1, True), (0.19, 0.1, False), (0.09, 0.01, False)]
 )
 def test_the_noise_of_velocities_counts_from_twice_the_assumed_on(rms, assumed, named):
-    fit = SimpleNamespace(rms=np.array([0.0, rms, 9.0]))
-    assert bool(motion_checks.check_velocity_noise(fit, assumed)) == named
-    assert motion_checks.check_velocity_noise(SimpleNamespace(rms=np.array([9.0])), assumed) == []
-    assert motion_checks.check_velocity_noise(fit, np.nan) == []
+    fit, t = SimpleNamespace(rms=np.array([0.0, rms, 9.0])), 0.02 * np.arange(5000)
+    still = SimpleNamespace(t=t, accel=np.zeros((5000, 3)), assumed_sd=assumed)
+    check = motion_checks.check_velocity_noise
+    assert bool(check(fit, still)) == named
+    assert check(SimpleNamespace(rms=np.array([9.0])), still) == []
+    still.assumed_sd = np.nan
+    assert check(fit, still) == []
+
+
+def test_what_noise_of_the_accelerometers_explains_is_none_of_the_receiver():
+    """White noise in 20 s of a strong vibration; the scatter of its integral is that without a line."""
+    drawn = np.random.default_rng(8).standard_normal((100, 1000, 3))
+    t = 0.02 * np.arange(1000)
+    walked = 0.02 * np.cumsum(drawn, axis=1)
+    line = np.column_stack([np.ones(1000), t])
+    rest = walked - line @ np.linalg.lstsq(line, walked.transpose(1, 0, 2).reshape(1000, -1), rcond=None)[
+        0
+    ].reshape(2, 100, 3).transpose(1, 0, 2)
+    scatter = float(np.sqrt(np.mean(rest**2)))
+    motion = SimpleNamespace(t=t, accel=drawn[0], assumed_sd=0.0)
+    for factor, named in ((1.8, False), (2.2, True)):
+        fit = SimpleNamespace(rms=np.full(3, factor * scatter))
+        assert bool(motion_checks.check_velocity_noise(fit, motion)) == named
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,14 @@ from bench.core.mathematics.arrays import FloatArray
 from bench.core.mathematics.units import STANDARD_GRAVITY
 from bench.evaluation.motion.axis_names import name_axes
 from bench.evaluation.motion.axis_search import AS_GIVEN, Explained, Hypothesis, explain, search
-from bench.evaluation.motion.motion_fit import MOTION_NOISE, NAMES, MotionFit, Stretches, find_stretches
+from bench.evaluation.motion.motion_fit import (
+    LENGTH,
+    MOTION_NOISE,
+    NAMES,
+    MotionFit,
+    Stretches,
+    find_stretches,
+)
 from bench.evaluation.motion.recorded_motion import Check, RecordedMotion
 
 SIGMAS = 5.0
@@ -90,7 +97,7 @@ def check_motion(motion: RecordedMotion, antenna_b: FloatArray) -> tuple[list[Ch
     found.append(_unknown("arm_off_m", "where the antenna is") if unknown_arm else check_arm(fit, antenna_b))
     found.append(check_forward_axis(fit, best.stretches))
     if all(one.good for one in found) and motion.velocity_shift == 0.0:
-        found += check_velocity_noise(fit, motion.assumed_sd)
+        found += check_velocity_noise(fit, motion)
     return found, h
 
 
@@ -178,10 +185,17 @@ def check_force_gain(fit: MotionFit) -> Check:
     return Check("force_gain", gain, text, not off, {"imu.accel_gain": gain} if off else {})
 
 
-def check_velocity_noise(fit: MotionFit, assumed: float) -> list[Check]:
-    """Check for velocities that scatter more, within a segment of some seconds, than ``assumed`` [m/s]."""
+def check_velocity_noise(fit: MotionFit, motion: RecordedMotion) -> list[Check]:
+    """Check for velocities that scatter more, within a segment of some seconds, than filters assume.
+
+    Scatter that the noise of the accelerometers explains is none of the receiver: if it is white, its
+    integral is a random walk, whose variance without a line through it is that at the end by 15.
+    """
     sd = float(np.median(fit.rms))
-    if not sd > NOISE_OFF * max(assumed, MOTION_NOISE) or len(fit.rms) < 2:
+    white = float(np.std(np.diff(motion.accel, 2, axis=0))) / np.sqrt(6.0)
+    walk = white * np.sqrt(float(np.median(np.diff(motion.t))) * LENGTH / 15.0)
+    assumed = motion.assumed_sd
+    if not sd > NOISE_OFF * max(np.hypot(assumed, walk), MOTION_NOISE) or len(fit.rms) < 2:
         return []
     text = (
         f"gnss: its velocities scatter by {sd:.2g} m/s around the motion of the IMU, filters assume "

@@ -195,12 +195,12 @@ class Listener:
 
 
 def test_an_outage_ends_when_it_ends_not_with_the_last_fix_in_it(flown):
-    """Without fixes from the middle of a cut to 5 s after it: its ranges are gone, those behind are there."""
+    """Without fixes from 4 s before its end to 5 s after it: its ranges are gone, those behind are there."""
     folder, _, _ = flown
     log = read_log(folder / "log.toml")
     t = log.records.fixes.t
     begin, end = float(t[40]), float(t[60])
-    fixes = log.records.fixes.take((t <= begin + 10.5) | (t > end + 5.5))
+    fixes = log.records.fixes.take((t <= begin + 16.5) | (t > end + 5.5))
     session = Session(log.spec, replace(log.records, fixes=fixes), replace(flown[1].initial, t=float(t[20])))
     session.first, one = begin, Listener()
     session.run_outages(one, "tight", end - begin, 1)
