@@ -17,6 +17,7 @@ from bench.io.logs import formats
 from bench.io.logs.resting_log import read_resting_log
 from bench.io.trajectories.track_files import read_track
 from bench.plugins.receiver import almanac
+from bench.plugins.receiver.receiver_streams.rtcm import read_rtcm
 from bench.plugins.receiver.receiver_streams.ubx import read_ubx
 from bench.plugins.receiver.rinex.ephemerides import read_navigation
 from bench.plugins.receiver.rinex.observations import read_observations
@@ -217,6 +218,7 @@ LARGE = {
     "brdc.rnx": read_navigation,
     "orbits.sp3": read_precise_orbits,
     "log.ubx": read_ubx,
+    "log.rtcm3": read_rtcm,
     "log.bin": lambda path: formats.read("dataflash", path, "imu", None),
     "track.igc": read_track,
     "track.gpx": read_track,

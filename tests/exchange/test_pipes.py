@@ -18,6 +18,7 @@ from bench.io.logs.mat_file import read_mat
 from bench.io.logs.table_files import read_table
 from bench.io.trajectories.track_files import read_track
 from bench.plugins.autopilots import ulog
+from bench.plugins.receiver.receiver_streams.rtcm import read_rtcm
 from bench.plugins.receiver.receiver_streams.ubx import read_ubx
 from bench.plugins.receiver.rinex.lines import open_lines
 from bench.simulation.signals.terrain import describe_terrain
@@ -40,6 +41,7 @@ READERS = {
     "x.igc": read_track,
     "x.gpx": read_track,
     "x.ubx": read_ubx,
+    "x.rtcm3": read_rtcm,
     "x.hgt": lambda path: describe_terrain(path, path.name, 0.0, None),
     "x.json": read_baseline,
     "solution.csv": read_solution,

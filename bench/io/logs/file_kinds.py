@@ -23,6 +23,7 @@ _UNPACK = "unpack it first"
 
 NOVATEL, GNSSLOGGER = "a NovAtel ASCII log", "an Android GnssLogger file"
 UBX, RINEX, NMEA = "a u-blox UBX recording", "a RINEX file", "a file of NMEA 0183 sentences"
+RTCM = "a recording of RTCM 3 messages"
 SBET = "an SBET trajectory"
 """Names of the kinds that bench reads somewhere."""
 
@@ -41,12 +42,10 @@ def _is_frame(head: bytes, starts: bytes) -> bool:
 
 def _is_rtcm(head: bytes) -> bool:
     """Return whether two RTCM 3 messages follow each other: preamble, six zero bits, length, 3 bytes CRC."""
-    at = head.find(b"\xd3")
-    for _ in range(2):
-        if at < 0 or at + 3 > len(head) or head[at] != 0xD3 or head[at + 1] & 0xFC:
-            return False
-        at += 6 + ((head[at + 1] & 3) << 8 | head[at + 2])
-    return True
+    starts = {
+        match.start(): int.from_bytes(match[0][1:]) for match in re.finditer(rb"(?s)\xd3[\0-\3].", head)
+    }
+    return any(at + 6 + length in starts for at, length in starts.items())
 
 
 def _is_sbet(head: bytes) -> bool:
@@ -96,7 +95,7 @@ KINDS: Sequence[tuple[FileKind, Callable[[bytes], bool]]] = (
         FileKind("a Betaflight or iNav blackbox", "decode it to CSV by blackbox_decode"),
         _begins(b"H Product:Blackbox"),
     ),
-    (FileKind("a recording of RTCM 3 messages", _TO_RINEX), _is_rtcm),
+    (FileKind(RTCM, "compute fixes from its ranges: bench fixes FILE"), _is_rtcm),
     (
         FileKind(UBX, "put it beside a table of an IMU, or compute fixes from its ranges: bench fixes FILE"),
         _matches(rb"\A.{0,200}\xb5\x62[\x01\x02\x0a\x0d\x10\x21\x27]"),

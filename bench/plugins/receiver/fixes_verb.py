@@ -17,6 +17,7 @@ from bench.core.words.exceptions import ConfigError
 from bench.io.results import check_file
 from bench.plugins.receiver import rinex_fixes
 from bench.plugins.receiver.receiver_settings import solve_rinex
+from bench.plugins.receiver.receiver_streams.rtcm import has_observations
 from bench.plugins.receiver.rinex.lines import find_kind
 
 _MOST = 8  # satellites on the screen; all are in the report
@@ -50,8 +51,9 @@ def solve_fixes(
         check_recording(recording, force=force)
     kinds = {file: find_kind(file, str(file)) for file in files}
     observations = [file for file, kind in kinds.items() if kind in ("observations", "ubx", "gnsslogger")]
+    observations += [file for file in files if kinds[file] == "rtcm" and has_observations(file, str(file))]
     navigation = [file for file, kind in kinds.items() if file not in observations]
-    navigation = navigation or [file for file in observations if kinds[file] == "ubx"]
+    navigation = navigation or [file for file in observations if kinds[file] in ("ubx", "rtcm")]
     for found, words in ((observations, "observations"), (navigation, "navigation")):
         if not found:
             raise ConfigError(f"{', '.join(map(str, files))}: no file of {words} is among them")

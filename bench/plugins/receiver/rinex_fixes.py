@@ -24,6 +24,7 @@ from bench.plugins.receiver import implausible_fixes, lost_epochs, unfit_systems
 from bench.plugins.receiver.fix_truth import Truth
 from bench.plugins.receiver.ionosphere_choice import choose_ionosphere
 from bench.plugins.receiver.receiver_streams.android_log import read_android
+from bench.plugins.receiver.receiver_streams.rtcm import read_rtcm
 from bench.plugins.receiver.receiver_streams.ubx import read_ubx
 from bench.plugins.receiver.rinex.ephemerides import NavigationFile
 from bench.plugins.receiver.rinex.lines import find_kind
@@ -315,8 +316,8 @@ def solve_files(
     ConfigError
         If a file is wrong, or no ephemeris fits the observations.
     """
-    raw = merge_observations([_read(path, window > 0) for path in observations])
     nav = read_orbits(navigation)
+    raw = merge_observations([_read(path, window > 0, nav) for path in observations])
     processing, notes = choose_ionosphere(raw, nav, processing)
     pseudorange, noise = raw.pseudorange, None
     if raw.sd is not None:
@@ -373,9 +374,13 @@ def solve_files(
     return replace(solved, notes=tuple(notes))
 
 
-def _read(path: Path, phase: bool) -> ObservationFile:
-    if read := {"ubx": read_ubx, "gnsslogger": read_android}.get(find_kind(path, str(path))):
+def _read(path: Path, phase: bool, nav: NavigationFile) -> ObservationFile:
+    kind = find_kind(path, str(path))
+    if read := {"ubx": read_ubx, "gnsslogger": read_android}.get(kind):
         return read(path, str(path))
+    if kind == "rtcm":
+        times = np.concatenate([one.t for sets in nav.list_orbits().values() for one in sets])
+        return read_rtcm(path, str(path), float(np.median(times)) if len(times) else None)
     return read_observations(path, str(path), phase=phase)
 
 

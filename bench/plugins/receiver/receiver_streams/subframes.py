@@ -28,15 +28,15 @@ from bench.plugins.receiver.rinex.lines import BEIDOU_LATE
 from bench.simulation.signals.gps_time import leap_seconds, to_date
 from bench.simulation.signals.orbits import DAY, WEEK
 
-_Fields = Sequence[tuple[str, int, float]]
+Fields = Sequence[tuple[str, int, float]]
 """Name, number of bits (negative: signed), and unit of the last bit; what has no name is passed over."""
 
 _ANGLES = ("mean_anomaly", "delta_n", "node_0", "i_0", "perigee", "node_rate", "i_rate")  # in semicircles
-_ALPHA_BETA: _Fields = [
+_ALPHA_BETA: Fields = [
     *((f"alpha_{k}", -8, 2.0**p) for k, p in enumerate((-30, -27, -24, -24))),
     *((f"beta_{k}", -8, 2.0**p) for k, p in enumerate((11, 14, 16, 16))),
 ]
-LNAV: Mapping[int, _Fields] = {
+LNAV: Mapping[int, Fields] = {
     1: [("", 12, 1), ("ura", 4, 1), ("health", 6, 1), ("", 90, 1), ("group_delay", -8, 2**-31),
         ("issue", 8, 1), ("t_oc", 16, 16), ("af_2", -8, 2**-55), ("af_1", -16, 2**-43),
         ("af_0", -22, 2**-31)],
@@ -49,7 +49,7 @@ LNAV: Mapping[int, _Fields] = {
     4: [("", 2, 1), ("page", 6, 1), *_ALPHA_BETA],
 }  # fmt: skip
 """Subframe -> fields behind its first two words, without parity."""
-INAV: Mapping[int, _Fields] = {
+INAV: Mapping[int, Fields] = {
     1: [("issue", 10, 1), ("t_oe_week", 14, 60), ("mean_anomaly", -32, 2**-31), ("e", 32, 2**-33),
         ("sqrt_a", 32, 2**-19)],
     2: [("issue", 10, 1), ("node_0", -32, 2**-31), ("i_0", -32, 2**-31), ("perigee", -32, 2**-31),
@@ -63,7 +63,7 @@ INAV: Mapping[int, _Fields] = {
         ("unsure", 1, 1)],
 }  # fmt: skip
 """Word type -> fields behind the type."""
-D1: Mapping[int, _Fields] = {
+D1: Mapping[int, Fields] = {
     1: [("sick", 1, 1), ("", 5, 1), ("ura", 4, 1), ("", 13, 1), ("t_oc", 17, 8), ("group_delay", -10, 1e-10),
         ("group_delay_2", -10, 1e-10), ("", 64, 1), ("af_2", -11, 2**-66), ("af_0", -24, 2**-33),
         ("af_1", -22, 2**-50)],
@@ -74,7 +74,7 @@ D1: Mapping[int, _Fields] = {
         ("c_is", -18, 2**-31), ("i_rate", -14, 2**-43), ("node_0", -32, 2**-31), ("perigee", -32, 2**-31)],
 }  # fmt: skip
 """Subframe -> fields behind preamble, number and second of week (38 bits), without parity."""
-FDMA: Mapping[int, _Fields] = {
+FDMA: Mapping[int, Fields] = {
     k: [*head, (f"v{axis}", -24, 1e3 * 2**-20), (f"a{axis}", -5, 1e3 * 2**-30), (axis, -27, 1e3 * 2**-11)]
     for k, axis, head in (
         (1, "x", [("", 16, 1)]),
@@ -83,14 +83,17 @@ FDMA: Mapping[int, _Fields] = {
     )
 } | {4: [("clock", -22, -(2**-30))]}  # fmt: skip
 """String -> fields behind its number; the signed ones are a sign and a size."""
+FNAV = 4
+"""F/NAV of Galileo, beside the codes of the systems."""
 _LIMITS = {GPS: (4900.0, 5400.0), GALILEO: (5050.0, 5600.0), BEIDOU: (5000.0, 6700.0)}  # of sqrt_a [sqrt(m)]
 _NEEDED = {GPS: (1, 2, 3), GLONASS: (1, 2, 3, 4), GALILEO: (1, 2, 3, 4, 5), BEIDOU: (1, 2, 3)}
 _FRAME = 35.0  # from one part of a frame to the next one, at most [s]: receivers note times coarsely
-_MOSCOW = 10800.0  # its time minus UTC [s]
+MOSCOW = 10800.0
+"""Time of Moscow minus UTC [s]."""
 _NO_ACCURACY = {GPS: 15, GALILEO: 255, BEIDOU: 15}  # index that says so
 
 
-def decode(bits: int, width: int, fields: _Fields, *, magnitude: bool = False) -> dict[str, float]:
+def decode(bits: int, width: int, fields: Fields, *, magnitude: bool = False) -> dict[str, float]:
     """Return the fields at the begin of so many bits; ``magnitude``: signed ones are a sign and a size."""
     found, at = {}, width
     for name, count, unit in fields:
@@ -119,7 +122,7 @@ class BroadcastParts:
 
     def __init__(self) -> None:
         self._parts: dict[tuple[int, int, int], dict[int, dict[str, float]]] = {}
-        self._sets: dict[int, list[list[float]]] = {k: [] for k in _NEEDED}
+        self._sets: dict[int, list[list[float]]] = {k: [] for k in (*_NEEDED, FNAV)}
         self._seen: set[tuple[float, ...]] = set()
         self._klobuchar: list[float] | None = None
         self._level: list[float] | None = None
@@ -156,12 +159,15 @@ class BroadcastParts:
         issues = {part["issue"] for part in parts.values() if "issue" in part}
         if any(k not in parts for k in needed) or len(issues) > 1:
             return
-        whole = {name: value for k in needed for name, value in parts[k].items()}
-        make = _make_state if system == GLONASS else _make_kepler
-        row = make(whole, system, sat, near)
-        if row is not None and tuple(row) not in self._seen:
-            self._seen.add(tuple(row))
-            self._sets[system].append(row)
+        self.add_whole(system, sat, {name: value for k in needed for name, value in parts[k].items()}, near)
+
+    def add_whole(self, which: int, sat: int, whole: dict[str, float], near: float) -> None:
+        """Take the fields of an ephemeris of a system, or `FNAV`, and a time near it [s since 1980-01-06]."""
+        make = _make_state if which == GLONASS else _make_kepler
+        row = make(whole, GALILEO if which == FNAV else which, sat, near)
+        if row is not None and (which, *row) not in self._seen:
+            self._seen.add((which, *row))
+            self._sets[which].append(row)
 
     def make_file(self, shown: str) -> NavigationFile:
         """Return the ephemerides found."""
@@ -172,26 +178,26 @@ class BroadcastParts:
             gps=self._join(GPS),
             glonass=GlonassSets(whole[0], g[:, 1] == 0, whole[1], np.ascontiguousarray(g[:, 3:])),
             klobuchar=None if self._klobuchar is None else np.array(self._klobuchar),
-            galileo=(self._join(GALILEO, "I/NAV"), KeplerSets(*_NONE, GALILEO, "F/NAV")),
+            galileo=(self._join(GALILEO, "I/NAV"), self._join(FNAV, "F/NAV")),
             beidou=self._join(BEIDOU),
             level=None if self._level is None else np.array(self._level),
         )
 
     def _join(self, system: int, message: str = "") -> KeplerSets:
         rows = np.array(self._sets[system]).reshape(-1, 2 + len(KEPLER))
+        system = GALILEO if system == FNAV else system
         return KeplerSets(rows[:, 0].astype(np.int64), rows[:, 1] == 0, rows[:, 2:], system, message)
-
-
-_NONE = (np.zeros(0, np.int64), np.zeros(0, np.bool_), np.zeros((0, len(KEPLER))))
 
 
 def _make_kepler(whole: dict[str, float], system: int, sat: int, near: float) -> list[float] | None:
     """Return satellite, health and ``KEPLER`` of an ephemeris; None if it is none of such an orbit."""
     late = BEIDOU_LATE if system == BEIDOU else 0.0
     if system == BEIDOU:
-        whole["t_oe_week"] = whole["t_oe_high"] + whole["t_oe_low"]
+        whole["t_oe_week"] = whole["t_oe_high"] + whole.get("t_oe_low", 0.0)
     low, high = _LIMITS[system]
-    if not (low <= whole["sqrt_a"] <= high and whole["e"] <= 0.2 and 0.6 <= whole["i_0"] <= 1.3):
+    level = system == BEIDOU and "t_oe_low" not in whole  # it may be geostationary, which D1 never is
+    least = 0.0 if level else 0.6
+    if not (low <= whole["sqrt_a"] <= high and whole["e"] <= 0.2 and least <= whole["i_0"] <= 1.3):
         return None
     if whole["t_oe_week"] >= WEEK or whole["t_oc"] >= WEEK or whole.get("sat", sat) != sat:
         return None
@@ -208,7 +214,7 @@ def _make_state(whole: dict[str, float], system: int, sat: int, near: float) -> 
     """Return slot, health, channel and ``STATE`` of GLONASS; None if it is no such orbit."""
     if not 24e6 <= np.sqrt(whole["x"] ** 2 + whole["y"] ** 2 + whole["z"] ** 2) <= 27e6:
         return None
-    second = whole["t_b"] - _MOSCOW + leap_seconds(to_date(near))
+    second = whole["t_b"] - MOSCOW + leap_seconds(to_date(near))
     whole["t_b"] = second + DAY * round((near - second) / DAY)
     sick = whole["sick"] + whole["unsure"]
     return [sat, sick, whole.get("channel", 0.0), *(whole[name] for name in STATE)]

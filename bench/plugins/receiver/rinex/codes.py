@@ -11,7 +11,7 @@ SYSTEMS = {"G": GPS, "R": GLONASS, "E": GALILEO, "C": BEIDOU}
 OTHERS = {"J": "QZSS", "S": "SBAS", "I": "NavIC"}
 """Systems that are read over and left out."""
 
-_CODES = {
+CODES = {
     "G": (("1C", "1W", "1P", "1L", "1X", "1S"), ("2W", "2P", "2L", "2X", "2S", "2C")),
     "R": (("1C", "1P"), ("2C", "2P")),
     "E": (("1C", "1X", "1B"), ("5Q", "5X", "5I", "7Q", "7X", "7I")),
@@ -47,7 +47,7 @@ def find_signals(letter: str, types: Sequence[str], version: float) -> Signals:
 
     In RINEX 3.02 the B1I of BeiDou is 1I, 1Q or 1X, in all others 2I, 2Q or 2X; 1X is B1C from 3.04 on.
     """
-    first, second = (_CODES_2 if version < 3 else _CODES)[letter]
+    first, second = (_CODES_2 if version < 3 else CODES)[letter]
     if letter == "C" and round(100 * version) == 302:
         first = ("1I", "1X", "1Q", *first)
     at = {name: k for k, name in enumerate(types)}

@@ -16,6 +16,7 @@ import numpy as np
 from bench.core.mathematics.arrays import FloatArray
 from bench.core.records.orbit_sets import GLONASS, LETTERS, SYSTEM_NAMES, OrbitTable
 from bench.core.words.exceptions import ConfigError
+from bench.plugins.receiver.receiver_streams.rtcm_ephemerides import read_rtcm_navigation
 from bench.plugins.receiver.receiver_streams.ubx import read_ubx_navigation
 from bench.plugins.receiver.rinex.ephemerides import NavigationFile, merge_navigation, read_navigation
 from bench.plugins.receiver.rinex.lines import BEIDOU_LATE, Lines, find_kind, open_lines, read_calendar
@@ -214,7 +215,7 @@ def _join(system: int, step: float, files: Sequence[PreciseFile]) -> Iterator[Or
 
 
 def read_orbits(paths: Sequence[Path]) -> NavigationFile:
-    """Read navigation, UBX and SP3 files; a system that has precise orbits is computed from these alone.
+    """Read files of navigation and SP3; a system that has precise orbits is computed from these alone.
 
     A navigation file in which nothing can be read is left out with a note if another one can be read.
 
@@ -224,10 +225,11 @@ def read_orbits(paths: Sequence[Path]) -> NavigationFile:
         If a file is neither of these, or nothing can be read in any of them.
     """
     kinds = {path: find_kind(path, str(path)) for path in paths}
+    streams = {"ubx": read_ubx_navigation, "rtcm": read_rtcm_navigation}
     broadcast, wrong = list[NavigationFile](), list[ConfigError]()
     for path in (path for path in paths if kinds[path] != "sp3"):
         try:
-            read = read_ubx_navigation if kinds[path] == "ubx" else read_navigation
+            read = streams.get(kinds[path], read_navigation)
             broadcast.append(read(path, str(path)))
         except ConfigError as error:
             wrong.append(error)
