@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 from bench.core.files.installed import Installed, find_installed, find_own, import_installed, read_constant
 from bench.core.words.exceptions import ConfigError
-from bench.io.logs.file_kinds import GNSSLOGGER, NMEA, NOVATEL, is_kind
+from bench.io.logs.file_kinds import GNSSLOGGER, NMEA, NOVATEL, NOVATEL_BINARY, is_kind
 
 
 class LogFormat(NamedTuple):
@@ -41,6 +41,10 @@ def _is_trajectory(path: Path) -> bool:
     return bool(import_module(POSES).recognizes(path))
 
 
+def _is_novatel(path: Path) -> bool:
+    return is_kind(NOVATEL, path) or is_kind(NOVATEL_BINARY, path)
+
+
 POSES = "bench.io.logs.formats.pose_files"
 """Module of trajectories, which is imported when a file is looked at."""
 NAV = ".nav"
@@ -55,7 +59,7 @@ FORMATS: Mapping[str, LogFormat] = {
     "mcap": LogFormat("bench.io.logs.formats.bags", (".mcap",), topics=True, package="mcap"),
     "navego": LogFormat("bench.io.logs.formats.navego_structures", topics=True),
     "kf-gins": LogFormat("bench.io.logs.formats.text"),
-    "novatel": LogFormat("bench.io.logs.formats.novatel", topics=True, recognizes=partial(is_kind, NOVATEL)),
+    "novatel": LogFormat("bench.io.logs.formats.novatel", topics=True, recognizes=_is_novatel),
     "gnsslogger": LogFormat("bench.io.logs.formats.gnsslogger", recognizes=partial(is_kind, GNSSLOGGER)),
     "nmea": LogFormat(
         "bench.io.logs.formats.nmea_sentences", (".nmea",), fixes=True, recognizes=partial(is_kind, NMEA)
@@ -112,6 +116,8 @@ def guess_format(path: Path) -> str | None:
     Formats of other packages are imported and tried only if no format of bench has this ending.
     """
     ending = path.suffix.lower()
+    if ending == ".bin" and _is_novatel(path):  # the ending of DataFlash, too
+        return "novatel"
     if own := next((name for name, one in FORMATS.items() if ending in one.endings), None):
         return own
     known = (name for name, one in FORMATS.items() if one.recognizes and one.recognizes(path))

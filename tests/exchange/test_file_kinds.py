@@ -36,7 +36,8 @@ HEADS = {
     "blackbox": b"H Product:Blackbox flight data recorder by Nicholas Sherlock\n",
     "UBX": b"\xb5\x62\x02\x15\x10\x00" + bytes(30),
     "SBF": b"$@" + bytes(30),
-    "NovAtel or": b"\xaa\x44\x12\x1c" + bytes(30),
+    "NovAtel binary": b"\xaa\x44\x12\x1c" + bytes(30),
+    "Unicore": b"\xaa\x44\xb5" + bytes(30),
     "NovAtel ASCII": b"#BESTPOSA,COM1,0,55.0,FINESTEERING,2000,1.0\n",
     "RTCM": b"\x00\x00" + rtcm(200) + rtcm(80),
     "GnssLogger": b"# \n# Version: v3.0\n# Raw,utcTimeMillis,TimeNanos\n",
@@ -70,7 +71,7 @@ def test_an_archive_is_named(tmp_path):
     assert kind.name == "a ZIP archive"
 
 
-@pytest.mark.parametrize("name", ["SBF", "NovAtel or", "telemetry", "SBET"])
+@pytest.mark.parametrize("name", ["SBF", "NovAtel binary", "Unicore", "telemetry", "SBET"])
 def test_a_receiver_file_of_another_format_is_named_by_fixes(name, tmp_path, capsys):
     path = tmp_path / "station.dat"
     path.write_bytes(HEADS[name] + RNG.bytes(60_000) + b"\xb5b")

@@ -21,7 +21,8 @@ _TO_RINEX = "convert it to RINEX, for example by convbin of RTKLIB, then: bench 
 _UNPACK = "unpack it first"
 
 
-NOVATEL, GNSSLOGGER = "a NovAtel ASCII log", "an Android GnssLogger file"
+NOVATEL, NOVATEL_BINARY = "a NovAtel ASCII log", "a NovAtel binary log"
+GNSSLOGGER = "an Android GnssLogger file"
 UBX, RINEX, NMEA = "a u-blox UBX recording", "a RINEX file", "a file of NMEA 0183 sentences"
 RTCM = "a recording of RTCM 3 messages"
 SBET = "an SBET trajectory"
@@ -102,9 +103,12 @@ KINDS: Sequence[tuple[FileKind, Callable[[bytes], bool]]] = (
     ),
     (FileKind("a Septentrio SBF recording", _TO_RINEX), _begins(b"$@")),
     (
-        FileKind("a NovAtel or Unicore binary recording", _TO_RINEX),
-        _begins(b"\xaa\x44\x12", b"\xaa\x44\x13", b"\xaa\x44\xb5"),
+        FileKind(
+            NOVATEL_BINARY, "bench new log FILE; for fixes from its ranges, convert it to RINEX by convbin"
+        ),
+        _matches(rb"(?s)\A.{0,512}\xaa\x44(?:\x12\x1c|\x13)"),
     ),
+    (FileKind("a Unicore binary recording", _TO_RINEX), _begins(b"\xaa\x44\xb5")),
     (
         FileKind(NOVATEL, "bench new log FILE"),
         _matches(rb"(?m)^[#%](?:RAWIMU|IMU|INS|BEST|RANGE|CORRIMU)\w*A,"),

@@ -1,4 +1,4 @@
-"""ASCII logs of NovAtel OEM receivers with SPAN; docs.novatel.com/OEM7, pages of the logs named here.
+"""Logs of NovAtel OEM receivers with SPAN; docs.novatel.com/OEM7, pages of the logs named here.
 
 imu: ``RAWIMU``, ``RAWIMUS`` (``topic`` names the IMU), ``RAWIMUX``, ``RAWIMUSX``: counts along x right, y
 forward, z up, with the scale factors in oem7_imu.cpp of github.com/novatel/novatel_oem7_driver. gnss:
@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import zlib
 from array import array
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +20,8 @@ from bench.core.mathematics.arrays import FloatArray
 from bench.core.mathematics.rotation import from_euler
 from bench.core.mathematics.units import ARCSEC, DEG, STANDARD_GRAVITY
 from bench.core.words.exceptions import ConfigError
+from bench.io.logs.file_kinds import NOVATEL_BINARY, is_kind
+from bench.io.logs.formats.novatel_binary import Log, read_binary_logs
 from bench.io.logs.formats.text import read_lines
 from bench.io.logs.rows import MOST_ROWS, LogRows
 from bench.simulation.signals.orbits import WEEK
@@ -89,6 +91,23 @@ def _read_logs(path: Path, wanted: Collection[str]) -> tuple[dict[str, FloatArra
     flat: dict[str, array[float]] = {}
     widths: dict[str, int] = {}
     bad = 0
+    for log in read_binary_logs(path) if is_kind(NOVATEL_BINARY, path) else _read_lines(path, wanted):
+        if log is None or widths.setdefault(log[0], len(log[3]) + 2) != len(log[3]) + 2:
+            bad += 1
+            continue
+        name, t, good, fields = log
+        if name not in wanted:
+            continue
+        rows = flat.setdefault(name, array("d"))
+        rows.extend([t, float(good), *fields])
+        if len(rows) > MOST_ROWS * widths[name]:
+            raise ConfigError(f"{path.name}: more than {MOST_ROWS} logs {name}")
+    notes = (f"{path.name}: {bad} logs are damaged and left out",) if bad else ()
+    return {name: np.array(rows).reshape(-1, widths[name]) for name, rows in flat.items()}, notes
+
+
+def _read_lines(path: Path, wanted: Collection[str]) -> Iterator[Log | None]:
+    """Yield each ASCII log; None if it is damaged."""
     for line in read_lines(path):
         head, found, body = line.partition(";")
         cells = head.split(",")
@@ -100,17 +119,12 @@ def _read_logs(path: Path, wanted: Collection[str]) -> tuple[dict[str, FloatArra
         try:
             week, second = (float(cell) for cell in (cells[5:7] if line[0] == "#" else cells[1:3]))
         except ValueError:
-            week = math.nan
+            week = second = math.nan
         right = crc == _NO_CRC or f"{zlib.crc32(text.encode(), 0xFFFFFFFF) ^ 0xFFFFFFFF:08x}" == crc.lower()
-        if not right or math.isnan(week) or widths.setdefault(name, len(fields)) != len(fields):
-            bad += 1
-            continue
-        rows = flat.setdefault(name, array("d"))
-        rows.extend([week * WEEK + second, float(not _GOOD.isdisjoint(fields)), *map(_read_number, fields)])
-        if len(rows) > MOST_ROWS * (len(fields) + 2):
-            raise ConfigError(f"{path.name}: more than {MOST_ROWS} logs {name}")
-    notes = (f"{path.name}: {bad} logs are damaged and left out",) if bad else ()
-    return {name: np.array(rows).reshape(-1, widths[name] + 2) for name, rows in flat.items()}, notes
+        if right and not math.isnan(week):
+            yield name, week * WEEK + second, not _GOOD.isdisjoint(fields), [*map(_read_number, fields)]
+        else:
+            yield None
 
 
 def _read_number(cell: str) -> float:

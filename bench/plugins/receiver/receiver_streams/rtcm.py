@@ -92,14 +92,7 @@ def has_observations(path: Path, shown: str) -> bool:
 def read_rtcm(path: Path, shown: str | None = None, near: float | None = None) -> ObservationFile:
     """Read the observations in an RTCM 3 stream, packed or not.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    shown : str or None
-        Name of the file in messages; default its file name.
-    near : float or None
-        Time of other files, for one without an ephemeris [s since 1980-01-06].
+    ``near`` is the time of other files, for one without an ephemeris [s since 1980-01-06].
 
     Raises
     ------

@@ -15,13 +15,14 @@ from pathlib import Path
 import numpy as np
 
 from bench.core.files.file_checks import check_file
+from bench.core.files.framed_stream import find_frames
 from bench.core.mathematics.arrays import IntArray
 from bench.core.records.orbit_sets import BEIDOU, GALILEO, GLONASS, GPS
 from bench.core.words.exceptions import ConfigError
 from bench.plugins.receiver.receiver_streams.subframes import FDMA, FNAV, BroadcastParts, Fields, decode
 from bench.plugins.receiver.rinex.ephemerides import NavigationFile
 from bench.plugins.receiver.rinex.lines import BEIDOU_LATE, MOST_BYTES
-from bench.plugins.receiver.rinex.unpacking import BLOCK, UnpackingError, open_binary
+from bench.plugins.receiver.rinex.unpacking import UnpackingError, open_binary
 from bench.simulation.signals.gps_time import EPOCH, gps_seconds
 from bench.simulation.signals.orbits import DAY, WEEK
 
@@ -89,24 +90,8 @@ def read_frames(path: Path, shown: str) -> Iterator[tuple[int, bytes | None]]:
     try:
         check_file(path, shown, MOST_BYTES)
         with open_binary(path, shown) as file:
-            content, at, more, sound = b"", 0, True, False
-            while more:
-                block = file.read(BLOCK)
-                content, at, more = content[at:] + block, 0, bool(block)
-                while match := _SYNC.search(content, at):
-                    at = match.start()
-                    if more and len(content) - at < _LONGEST:
-                        break
-                    end = at + 6 + int.from_bytes(content[at + 1 : at + 3], "big")
-                    if end <= len(content) and end - at > 7 and _check(content[at:end]):
-                        yield int.from_bytes(content[at + 3 : at + 5], "big") >> 4, content[at + 3 : end - 3]
-                        at, sound = end, True
-                        continue
-                    if sound:
-                        yield 0, None
-                    at, sound = at + 1, False
-                else:
-                    at = max(at, len(content) - 1)
+            for frame in find_frames(file, _SYNC, _LONGEST, _measure):
+                yield (0, None) if frame is None else (int.from_bytes(frame[3:5]) >> 4, frame[3:-3])
     except UnpackingError as error:
         raise ConfigError(f"{shown}: {error}") from None
     except OSError as error:
@@ -125,10 +110,14 @@ def _tabulate_crc() -> IntArray:
     return np.array(rows)
 
 
-def _check(frame: bytes) -> bool:
-    """Return whether the CRC of a frame is right: that of all its bytes is 0."""
-    parts = _tabulate_crc()[np.arange(len(frame) - 1, -1, -1), np.frombuffer(frame, np.uint8)]
-    return not np.bitwise_xor.reduce(parts)
+def _measure(content: bytes, at: int) -> int:
+    """Return where the frame at a place ends; 0 if it has no number, or the CRC with its own is not 0."""
+    length = 6 + int.from_bytes(content[at + 1 : at + 3])
+    frame = np.frombuffer(content[at : at + length], np.uint8)
+    if len(frame) < max(length, 8):
+        return 0
+    crc = np.bitwise_xor.reduce(_tabulate_crc()[np.arange(len(frame) - 1, -1, -1), frame])
+    return 0 if crc else at + len(frame)
 
 
 def decode_ephemeris(number: int, payload: bytes) -> dict[str, float] | None:

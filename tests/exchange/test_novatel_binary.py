@@ -1,0 +1,109 @@
+"""Binary logs of NovAtel: files that novatel-edie made of ASCII logs are read as these are."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from bench.cli.command_line import main
+from bench.core.words.exceptions import ConfigError
+from bench.io.log_formats import guess_format
+from bench.io.logs import formats
+from tests.data import gnss_file
+
+
+def read(path, kind, topic):
+    return formats.read("novatel", path, kind, topic)
+
+
+@pytest.mark.parametrize(
+    ("name", "kind", "topic"),
+    [
+        *(("novatel-rawimus", *one) for one in (("imu", "HG4930"), ("gnss", None), ("gnss", "INSPVAX"))),
+        ("novatel-rawimusx", "imu", None),
+        *(("novatel-rawimusx", "gnss", topic) for topic in (None, "INSPVAS", "INSPVAX")),
+    ],
+)
+def test_a_binary_log_is_read_as_the_ascii_log_it_was_made_of(name, kind, topic):
+    """Standard deviations and undulations are floats of 32 bit in the binary log."""
+    binary, text = (read(gnss_file(f"{name}.{ending}"), kind, topic) for ending in ("gps", "asc"))
+    assert len(binary.t) == len(text.t) > 0
+    assert_allclose(binary.t, text.t, atol=1e-7, rtol=0)
+    assert binary.values.keys() == text.values.keys()
+    for column, values in text.values.items():
+        if column == "lla":
+            assert_allclose(binary.values[column][:, :2], values[:, :2], atol=1e-15, rtol=0)
+        assert_allclose(binary.values[column], values, atol=2e-6 if column == "lla" else 1e-7, rtol=0)
+
+
+def frame(number, body, week=2209, milliseconds=400_000_000, short=False):
+    if short:
+        head = struct.pack("<3sBHHi", b"\xaa\x44\x13", len(body), number, week, milliseconds)
+    else:
+        more = (b"\xaa\x44\x12", 28, number, 0, 32, len(body), 0, 0, 180, week, milliseconds, 0, 0, 0)
+        head = struct.pack("<3sBHBBHHBBHiIHH", *more)
+    return head + body + struct.pack("<I", zlib.crc32(head + body, 0xFFFFFFFF) ^ 0xFFFFFFFF)
+
+
+def position(status, height):
+    place = (status, 16, 51.0, -114.0, height, -17.0, 61, 1.0, 2.0, 3.0, b"TSTR", 0.0, 0.0)
+    return struct.pack("<2I3dfI3f4s2f8B", *place, 14, 12, 12, 12, 0, 6, 0, 3)
+
+
+def test_a_position_without_a_solution_is_no_fix_and_one_without_a_week_is_left_out(tmp_path):
+    path = tmp_path / "a.bin"
+    frames = [frame(42, position(0, 1000.0)), frame(42, position(1, 1000.0), milliseconds=400_001_000)]
+    path.write_bytes(b"[COM1]" + b"".join(frames) + frame(42, position(0, 1000.0), week=0))
+    assert guess_format(path) == "novatel"  # not DataFlash, which has this ending
+    found = read(path, "gnss", None)
+    assert_allclose(found.t, 2209 * 604_800.0 + np.array([400_000.0, 400_001.0]))
+    assert_allclose(found.values["lla"][0, 2], 983.0)
+    assert_allclose(found.values["sd_pos"][0], [1.0, 2.0, 3.0])
+    assert found.values["satellites"][0] == 12
+    assert np.isnan(found.values["lla"][1]).all()
+
+
+def test_damaged_and_short_frames_are_counted(tmp_path):
+    path = tmp_path / "a.gps"
+    good, bad = frame(42, position(0, 1000.0)), bytearray(frame(42, position(0, 1000.0)))
+    bad[60] ^= 1
+    path.write_bytes(good + bad + good + frame(42, b"\0" * 10) + good[:-9])
+    found = read(path, "gnss", None)
+    assert len(found.t) == 2
+    assert found.notes == ("a.gps: 3 logs are damaged and left out",)
+
+
+@pytest.mark.parametrize("name", ["novatel-rawimus", "novatel-rawimusx"])
+def test_a_file_that_ends_early_or_has_wrong_bits_gives_rows_or_one_line(name, tmp_path):
+    content, rng = gnss_file(f"{name}.gps").read_bytes(), np.random.default_rng(5)
+    path = tmp_path / "a.gps"
+    pieces = [content[: rng.integers(len(content))] for _ in range(20)]
+    for _ in range(50):
+        flipped = bytearray(content)
+        for at in rng.integers(len(content), size=10):
+            flipped[at] ^= 1 << rng.integers(8)
+        pieces.append(bytes(flipped))
+    for piece in pieces:
+        path.write_bytes(piece)
+        for kind, topic in (("imu", "HG4930"), ("gnss", None), ("gnss", "INSPVAX")):
+            said = "a.gps: read"
+            try:
+                read(path, kind, topic)
+            except ConfigError as error:
+                said = str(error)
+            assert said.startswith("a.gps: ")
+            assert "\n" not in said
+
+
+def test_unicore_and_ranges_of_novatel_are_named(tmp_path, capsys):
+    path = tmp_path / "rover.log"
+    path.write_bytes(b"\xaa\x44\xb5" + bytes(200))
+    assert main(["fixes", str(path)]) == 2
+    assert "rover.log: is a Unicore binary recording; convert it to RINEX" in capsys.readouterr().err
+    path.write_bytes(frame(42, position(0, 1000.0)))
+    assert main(["fixes", str(path)]) == 2
+    assert "rover.log: is a NovAtel binary log; bench new log FILE" in capsys.readouterr().err
