@@ -13,7 +13,7 @@ from bench.core.records.orbit_sets import BEIDOU, GALILEO, GLONASS, GPS, KEPLER
 from bench.core.words.exceptions import ConfigError
 from bench.plugins.receiver.receiver_streams import rtcm_ephemerides
 from bench.plugins.receiver.receiver_streams.rtcm import read_rtcm
-from bench.plugins.receiver.receiver_streams.rtcm_ephemerides import read_frames, read_rtcm_navigation
+from bench.plugins.receiver.receiver_streams.rtcm_ephemerides import read_messages, read_rtcm_navigation
 from bench.plugins.receiver.receiver_streams.ubx import read_ubx, read_ubx_navigation
 from bench.plugins.receiver.rinex.ephemerides import read_navigation
 from bench.plugins.receiver.rinex.lines import find_kind
@@ -146,7 +146,7 @@ def test_fixes_of_a_stream_with_its_own_ephemerides(capsys):
 def split(name):
     """Return the frames of a file by whether they are ephemerides."""
     content, kinds = gnss_file(name).read_bytes(), {True: b"", False: b""}
-    for number, payload in read_frames(gnss_file(name), name):
+    for number, payload in read_messages(gnss_file(name), name):
         end = content.index(payload) + len(payload) + 3
         kinds[number in rtcm_ephemerides.MESSAGES] += content[end - len(payload) - 6 : end]
     return kinds
@@ -170,7 +170,7 @@ def test_ephemerides_may_be_in_another_file_and_without_any_the_date_is_asked_fo
 def test_a_week_modulo_1024_is_the_last_one_unless_other_ephemerides_tell_it(tmp_path, monkeypatch):
     path = tmp_path / "gps.rtcm3"
     content = gnss_file(STATION).read_bytes()
-    for number, payload in read_frames(gnss_file(STATION), STATION):
+    for number, payload in read_messages(gnss_file(STATION), STATION):
         if number == 1020:
             content = content.replace(payload, bytes(len(payload)))
     path.write_bytes(content)
@@ -233,7 +233,7 @@ def test_a_message_with_a_right_checksum_and_wrong_content_is_left_out(tmp_path)
     table = rtcm_ephemerides._tabulate_crc()
     for _ in range(40):
         content = b""
-        for _, payload in read_frames(gnss_file(OPEC), OPEC):
+        for _, payload in read_messages(gnss_file(OPEC), OPEC):
             flipped = bytearray(payload[: rng.integers(2, len(payload) + 1)])
             for at in rng.integers(1, len(flipped), size=rng.integers(3)):
                 flipped[at] ^= 1 << rng.integers(8)

@@ -16,8 +16,9 @@ from bench.core.files.file_checks import check_file
 from bench.core.records.orbit_sets import BEIDOU, GALILEO, GLONASS, GPS
 from bench.core.words.exceptions import ConfigError
 from bench.plugins.receiver.receiver_streams.observation_rows import ObservationRows
-from bench.plugins.receiver.rinex.lines import BEIDOU_LATE, MOST_BYTES, open_lines
+from bench.plugins.receiver.rinex.lines import BEIDOU_LATE, open_lines
 from bench.plugins.receiver.rinex.observations import ObservationFile
+from bench.plugins.receiver.rinex.unpacking import MOST_BYTES
 from bench.simulation.signals.gps_time import leap_seconds, to_date
 from bench.simulation.signals.orbits import DAY, L1, WEEK, C
 

@@ -18,7 +18,11 @@ from bench.core.mathematics.arrays import FloatArray, IntArray
 from bench.core.records.orbit_sets import BEIDOU, GALILEO, GLONASS, GPS
 from bench.core.words.exceptions import ConfigError
 from bench.plugins.receiver.receiver_streams.observation_rows import ObservationRows
-from bench.plugins.receiver.receiver_streams.rtcm_ephemerides import decode_ephemeris, find_date, read_frames
+from bench.plugins.receiver.receiver_streams.rtcm_ephemerides import (
+    decode_ephemeris,
+    find_date,
+    read_messages,
+)
 from bench.plugins.receiver.receiver_streams.subframes import MOSCOW, Fields, decode
 from bench.plugins.receiver.rinex.codes import CODES
 from bench.plugins.receiver.rinex.lines import BEIDOU_LATE
@@ -86,7 +90,7 @@ def _is_observation(number: int) -> bool:
 
 def has_observations(path: Path, shown: str) -> bool:
     """Return whether a stream has ranges, not ephemerides alone."""
-    return any(_is_observation(number) for number, _ in read_frames(path, shown))
+    return any(_is_observation(number) for number, _ in read_messages(path, shown))
 
 
 def read_rtcm(path: Path, shown: str | None = None, near: float | None = None) -> ObservationFile:
@@ -107,7 +111,7 @@ def read_rtcm(path: Path, shown: str | None = None, near: float | None = None) -
             f"give the navigation file of the day, too: bench fixes {shown} NAV"
         )
     rows = _RtcmRows(date)
-    for number, payload in read_frames(path, shown):
+    for number, payload in read_messages(path, shown):
         rows.take(number, payload)
     rows.end()
     if not rows.table.seconds:

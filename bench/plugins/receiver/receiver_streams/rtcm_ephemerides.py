@@ -14,15 +14,13 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.core.files.file_checks import check_file
-from bench.core.files.framed_stream import find_frames
 from bench.core.mathematics.arrays import IntArray
 from bench.core.records.orbit_sets import BEIDOU, GALILEO, GLONASS, GPS
 from bench.core.words.exceptions import ConfigError
 from bench.plugins.receiver.receiver_streams.subframes import FDMA, FNAV, BroadcastParts, Fields, decode
 from bench.plugins.receiver.rinex.ephemerides import NavigationFile
-from bench.plugins.receiver.rinex.lines import BEIDOU_LATE, MOST_BYTES
-from bench.plugins.receiver.rinex.unpacking import UnpackingError, open_binary
+from bench.plugins.receiver.rinex.lines import BEIDOU_LATE
+from bench.plugins.receiver.rinex.unpacking import read_frames
 from bench.simulation.signals.gps_time import EPOCH, gps_seconds
 from bench.simulation.signals.orbits import DAY, WEEK
 
@@ -79,23 +77,10 @@ _WEEKS = {GPS: (1024, 0, 0.0), GALILEO: (4096, 1024, 0.0), BEIDOU: (8192, 1356, 
 """Weeks after which their number begins anew, GPS week of week 0, GPS time minus that of the system [s]."""
 
 
-def read_frames(path: Path, shown: str) -> Iterator[tuple[int, bytes | None]]:
-    """Yield number and payload of each message of an RTCM 3 stream; None for a damaged part between two.
-
-    Raises
-    ------
-    ConfigError
-        If the file cannot be read or unpacked, or is too large.
-    """
-    try:
-        check_file(path, shown, MOST_BYTES)
-        with open_binary(path, shown) as file:
-            for frame in find_frames(file, _SYNC, _LONGEST, _measure):
-                yield (0, None) if frame is None else (int.from_bytes(frame[3:5]) >> 4, frame[3:-3])
-    except UnpackingError as error:
-        raise ConfigError(f"{shown}: {error}") from None
-    except OSError as error:
-        raise ConfigError(f"{shown}: {error.strerror or error}") from None
+def read_messages(path: Path, shown: str) -> Iterator[tuple[int, bytes | None]]:
+    """Yield number and payload of each message of an RTCM 3 stream; None for a damaged part between two."""
+    for frame in read_frames(path, shown, _SYNC, _LONGEST, _measure):
+        yield (0, None) if frame is None else (int.from_bytes(frame[3:5]) >> 4, frame[3:-3])
 
 
 @cache
@@ -154,7 +139,7 @@ def find_time(number: int, found: dict[str, float], near: float | None) -> float
 def find_date(path: Path, shown: str, near: float | None) -> float | None:
     """Return the time of an ephemeris in a stream [s since 1980-01-06], of several one with a whole week."""
     unsure = None
-    for number, payload in read_frames(path, shown):
+    for number, payload in read_messages(path, shown):
         if number not in MESSAGES or payload is None or (found := decode_ephemeris(number, payload)) is None:
             continue
         time = find_time(number, found, near)
@@ -174,7 +159,7 @@ def read_rtcm_navigation(path: Path, shown: str | None = None) -> NavigationFile
     """
     shown = path.name if shown is None else shown
     near, parts = find_date(path, shown, None), BroadcastParts()
-    for number, payload in read_frames(path, shown) if near is not None else ():
+    for number, payload in read_messages(path, shown) if near is not None else ():
         if number not in MESSAGES or payload is None or (found := decode_ephemeris(number, payload)) is None:
             continue
         system = MESSAGES[number][0]

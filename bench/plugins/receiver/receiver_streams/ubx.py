@@ -9,23 +9,21 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import BinaryIO, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from bench.core.files.file_checks import check_file
 from bench.core.records.orbit_sets import BEIDOU, GALILEO, GLONASS, GPS
 from bench.core.words.exceptions import ConfigError
 from bench.plugins.receiver.receiver_streams.observation_rows import ObservationRows
 from bench.plugins.receiver.receiver_streams.subframes import D1, FDMA, INAV, LNAV, BroadcastParts, decode
 from bench.plugins.receiver.rinex.ephemerides import NavigationFile
 from bench.plugins.receiver.rinex.observations import ObservationFile
-from bench.plugins.receiver.rinex.unpacking import BLOCK, UnpackingError, open_binary
+from bench.plugins.receiver.rinex.unpacking import read_frames
 from bench.simulation.signals.orbits import WEEK
 
 _HEAD = 16
 _LONGEST = 8 + _HEAD + 32 * 255  # of a message [byte]
-_MOST_BYTES = 2_000_000_000
 _FIELDS = np.dtype(
     [("range", "<f8"), ("phase", "<f8"), ("doppler", "<f4"), ("system", "u1"), ("sat", "u1"),
      ("signal", "u1"), ("channel", "u1"), ("lock", "<u2"), ("cn0", "u1"), ("range_sd", "u1"),
@@ -61,48 +59,19 @@ LAYOUTS = {RAWX: FrameLayout(16, 32, 11), SFRBX: FrameLayout(8, 4, 4)}
 def read_messages(
     path: Path, shown: str, layouts: Mapping[bytes, FrameLayout]
 ) -> Iterator[tuple[bytes, bytes | None]]:
-    """Yield class and number of each message of some layouts, and its payload, None if it is damaged.
-
-    Raises
-    ------
-    ConfigError
-        If the file cannot be read or unpacked, or is too large.
-    """
-    try:
-        check_file(path, shown, _MOST_BYTES)
-        with open_binary(path, shown) as file:
-            yield from _find_messages(file, layouts)
-    except UnpackingError as error:
-        raise ConfigError(f"{shown}: {error}") from None
-    except OSError as error:
-        raise ConfigError(f"{shown}: {error.strerror or error}") from None
-
-
-def _find_messages(
-    file: BinaryIO, layouts: Mapping[bytes, FrameLayout]
-) -> Iterator[tuple[bytes, bytes | None]]:
+    """Yield class and number of each message of some layouts, and its payload, None if it is damaged."""
     sync = re.compile(b"\xb5\x62(" + b"|".join(re.escape(kind) for kind in layouts) + b")", re.DOTALL)
-    content, at, more = b"", 0, True
-    while more:
-        block = file.read(BLOCK)
-        content, at, more = content[at:] + block, 0, bool(block)
-        while True:
-            match = sync.search(content, at)
-            if match is None:
-                at = max(at, len(content) - 3)
-                break
-            found, layout = match.start(), layouts[match[1]]
-            if more and len(content) - found < _LONGEST:
-                at = found
-                break
-            length = int.from_bytes(content[found + 4 : found + 6], "little")
-            end, place = found + 6 + length, found + 6 + layout.place
-            body = content[found + 2 : end]
-            rows = content[place] if layout.row and place < len(content) else 0
-            sound = len(content) >= end + 2 and length == layout.head + layout.row * rows
-            sound = sound and _sum(body) == content[end : end + 2]
-            yield match[1], body[4:] if sound else None
-            at = end + 2 if sound else found + 2
+
+    def measure(content: bytes, at: int) -> int:
+        layout = layouts[content[at + 2 : at + 4]]
+        length = int.from_bytes(content[at + 4 : at + 6], "little")
+        end, place = at + 6 + length, at + 6 + layout.place
+        rows = content[place] if layout.row and place < len(content) else 0
+        sound = len(content) >= end + 2 and length == layout.head + layout.row * rows
+        return end + 2 if sound and _sum(content[at + 2 : end]) == content[end : end + 2] else 0
+
+    for frame in read_frames(path, shown, sync, _LONGEST, measure):
+        yield (b"", None) if frame is None else (frame[2:4], frame[6:-2])
 
 
 def _sum(body: bytes) -> bytes:

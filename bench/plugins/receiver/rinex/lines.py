@@ -14,14 +14,12 @@ from bench.core.files.file_checks import check_file
 from bench.core.words.exceptions import ConfigError
 from bench.io.logs.file_kinds import GNSSLOGGER, HEAD, NMEA, RINEX, RTCM, UBX, recognize
 from bench.plugins.receiver.rinex.compact import LONGEST, CompactText
-from bench.plugins.receiver.rinex.unpacking import UnpackingError, open_text
+from bench.plugins.receiver.rinex.unpacking import MOST_BYTES, UnpackingError, open_text
 from bench.simulation.signals.gps_time import gps_seconds
 
 _READ = {UBX: "ubx", RINEX: "", RTCM: "rtcm", GNSSLOGGER: "gnsslogger"}  # kinds of `recognize`
 _LOOKED_AT = 65536  # characters: UBX may follow the messages of a program that recorded it
 _MOST_REASONS = 20
-MOST_BYTES = 2_000_000_000
-"""Largest file that is read [byte]."""
 BEIDOU_LATE = 14.0  # GPS time minus BeiDou time [s], RINEX 3.05, 4.1.4
 _NO_LETTER = re.compile(r"([+-]?\d*\.\d*)([+-]\d+)")  # 0.499063314480-269
 

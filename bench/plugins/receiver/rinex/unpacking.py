@@ -5,16 +5,21 @@ from __future__ import annotations
 import codecs
 import gzip
 import io
+import re
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+from bench.core.files.file_checks import check_file
+from bench.core.files.framed_stream import find_frames
 from bench.core.words.exceptions import ConfigError
 
 BLOCK = 1 << 16
 """Read and unpacked at a time, at least [byte]."""
+MOST_BYTES = 2_000_000_000
+"""Largest file that is read [byte]."""
 MOST_UNPACKED = 4_000_000_000
 """Largest content of a packed file that is read [byte]."""
 
@@ -63,6 +68,26 @@ def open_binary(path: Path, shown: str) -> io.BufferedReader:
     if magic.startswith(_COMPRESS):
         return io.BufferedReader(_Unpacked(packed, _expand(packed)), BLOCK)
     return packed
+
+
+def read_frames(
+    path: Path, shown: str, mark: re.Pattern[bytes], longest: int, measure: Callable[[bytes, int], int]
+) -> Iterator[bytes | None]:
+    """Yield the frames of a stream, packed or not, as `find_frames` does.
+
+    Raises
+    ------
+    ConfigError
+        If the file cannot be read or unpacked, or is too large.
+    """
+    try:
+        check_file(path, shown, MOST_BYTES)
+        with open_binary(path, shown) as file:
+            yield from find_frames(file, mark, longest, measure)
+    except UnpackingError as error:
+        raise ConfigError(f"{shown}: {error}") from None
+    except OSError as error:
+        raise ConfigError(f"{shown}: {error.strerror or error}") from None
 
 
 class _Unpacked(io.RawIOBase):
