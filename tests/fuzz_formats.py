@@ -12,12 +12,13 @@ import numpy as np
 
 from bench.io.logs import formats
 from bench.io.trajectories.track_files import read_track
+from bench.plugins.receiver.receiver_streams.rtcm import read_rtcm
 from bench.plugins.receiver.receiver_streams.ubx import read_ubx
 from bench.plugins.receiver.rinex.lines import find_kind
 from bench.plugins.receiver.rinex.observations import read_observations
 from bench.plugins.receiver.rinex.precise_orbits import make_tables, read_precise_orbits
 from bench.simulation.signals.terrain import describe_terrain
-from tests.data import stored_gnss_file
+from tests.data import gnss_file, stored_gnss_file
 from tests.plugins.autopilots.telemetry_writer import write_telemetry
 from tests.plugins.receiver.packed import compress
 
@@ -67,6 +68,14 @@ def _cut_crinex() -> bytes:
 
 def _cut_ubx() -> bytes:
     return gzip.decompress(stored_gnss_file("F9T-L2-2min.ubx.gz").read_bytes())[:12_000]
+
+
+def _cut_rtcm() -> bytes:
+    return gnss_file("walk-2025-08-28.rtcm3").read_bytes()
+
+
+def _cut_novatel() -> bytes:
+    return gnss_file("novatel-rawimusx.gps").read_bytes()
 
 
 def _cut_sp3() -> bytes:
@@ -119,6 +128,10 @@ READERS: dict[str, Format] = {
     "rinex-z": Format("a.05o.Z", lambda: compress(_cut_rinex()), _read_observations, False),
     "crinex": Format("a.crx", _cut_crinex, _read_observations, True),
     "ubx": Format("a.ubx", _cut_ubx, read_ubx, False),
+    "rtcm": Format("a.rtcm3", _cut_rtcm, read_rtcm, False),
+    "novatel": Format(
+        "a.gps", _cut_novatel, lambda path: formats.read("novatel", path, "imu", "EPSON-G320"), False
+    ),
     "sp3": Format("a.sp3", _cut_sp3, _read_orbits, True),
     "dataflash": Format("a.bin", _cut_flash, _read_flight("dataflash"), False),
     "tlog": Format("a.tlog", _write_telemetry, _read_flight("tlog"), False),
