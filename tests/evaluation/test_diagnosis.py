@@ -43,6 +43,11 @@ def test_two_mistakes_are_named(names):
     assert said in (("named", []), ("not shown", [])), (vehicle, said)
 
 
+def test_half_a_step_of_a_walk_is_not_named_for_a_reversed_velocity():
+    """A gait that is half a period late fits a vertical velocity that is reversed, but worse."""
+    assert diagnosis.judge("walk", 3108000, ("clock", "far clock")) == ("named", [])
+
+
 def test_a_missed_mistake_would_be_seen():
     """The judge of these tests calls a recording with a mistake sound only if the advice mends it."""
     sound = random_motions.draw("car", SEED)

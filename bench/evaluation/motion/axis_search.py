@@ -7,14 +7,14 @@ recording as it is only if the likelihood of the whole recording rises by far.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import permutations, product
 
 import numpy as np
 
 from bench.core.mathematics.arrays import FloatArray
 from bench.evaluation.motion.clock_search import find_offsets
-from bench.evaluation.motion.motion_fit import MotionFit, Stretches, find_stretches, fit_motion
+from bench.evaluation.motion.motion_fit import SHIFT, MotionFit, Stretches, find_stretches, fit_motion
 from bench.evaluation.motion.recorded_motion import RecordedMotion
 
 _STRETCHES = 6  # tried in the first round: those in which the velocity changes most
@@ -25,6 +25,7 @@ _RISE = 0.15  # by which it must rise for each residual: they fall by this share
 _NOISE = 0.05  # [m/s], as in the fit
 _TURNS = (25.0, 0.5)  # rms rate in rms rates of the course beyond which the unit of the gyros is in doubt
 _RATES = (1.0, 0.01)  # the same for the rms rate itself [rad/s]
+_STEPS = (-0.6, -0.3, 0.3, 0.6)  # to either side of an offset: a gait fits near every step, too [s]
 _DEGREE = np.pi / 180.0
 
 
@@ -130,12 +131,19 @@ def search(motion: RecordedMotion, antenna_b: FloatArray, plain: Explained) -> E
         )
     )
     enough = max(_RISE, _EVIDENCE / float((3 * np.diff(plain.stretches.begin) - 6).sum()))
+
+    def choose(best: Explained, one: Hypothesis) -> Explained:
+        found = explain(motion, antenna_b, one)
+        if found is None or found.cost >= min(best.cost, plain.cost - enough):
+            return best
+        return found if float(np.sqrt(np.mean(found.fit.rms**2))) < _SHARE * moved else best
+
     for one in ranked[:_KEPT]:
-        for offset in {first, *offsets}:
-            h = one.hypothesis
-            found = explain(motion, antenna_b, Hypothesis(h.gyro, h.accel, h.unit, offset, h.down))
-            if found is None or found.cost >= min(best.cost, plain.cost - enough):
-                continue
-            if float(np.sqrt(np.mean(found.fit.rms**2))) < _SHARE * moved:
-                best = found
+        for offset in sorted({first, *offsets}):
+            best = choose(best, replace(one.hypothesis, offset=offset))
+    h = best.hypothesis
+    near = h.offset + float(best.fit.values[SHIFT])
+    for away in _STEPS:
+        for down in (1.0, -1.0):
+            best = choose(best, replace(h, offset=near + away, down=down))
     return best

@@ -39,7 +39,7 @@ NAMES = (
 PRIOR_SD = np.array([0.1] * 3 + [1.0] + [1.0] * 3 + [1.0] + [1.0] * 3 + [1.0] + [0.5] * 3)
 _LONGEST = 2.0  # step of an iteration, in these standard deviations: a wrong unit is far from linear
 _KERNEL = 11  # parameters whose derivatives are integrated
-_GYRO_GAIN, _ACCEL_GAIN, _SHIFT, _ARM = 3, 7, 11, slice(12, 15)
+_GYRO_GAIN, _ACCEL_GAIN, SHIFT, _ARM = 3, 7, 11, slice(12, 15)
 LENGTH = 20.0  # of a segment [s]
 _FEWEST = 8  # fixes in a segment
 MOST_SEGMENTS = 150  # segments; those in which the velocity changes most are used
@@ -265,7 +265,7 @@ def fit_motion(
         normal = prior + np.einsum("w,wij->ij", weights, here.normals)
         step = np.clip(np.linalg.inv(normal) @ pull, -_LONGEST * PRIOR_SD, _LONGEST * PRIOR_SD)
         values = here.values + factor * step
-        values[_SHIFT] = np.clip(values[_SHIFT], _HALF - _MARGIN, _MARGIN - _HALF)  # within the record
+        values[SHIFT] = np.clip(values[SHIFT], _HALF - _MARGIN, _MARGIN - _HALF)  # within the record
         trial = try_values(values)
         gained, best = best.cost - trial.cost, min(best, trial, key=lambda one: one.cost)
         if factor == 1.0 and 0.0 <= gained < _ENOUGH:
@@ -322,7 +322,7 @@ def _compare(
         J = np.empty((len(x), 3, len(NAMES)))
         J[..., :_KERNEL] = C_is @ U[rows]
         J[..., :8] *= -1.0
-        J[..., _SHIFT] = -u_dot[rows] @ C_is.T
+        J[..., SHIFT] = -u_dot[rows] @ C_is.T
         J[..., _ARM] = C_is @ C_sb[rows] @ _cross_matrices(rate[rows])
         J = (J - J.mean(axis=0)).reshape(-1, len(NAMES))
         Q = np.linalg.qr(_cross_matrices(-turned).reshape(-1, 3))[0]  # what another C_is would change
@@ -376,7 +376,7 @@ def integrate(
     """Return u, U, C_sb, the rate at the fixes and the derivative of u by time, for some parameters."""
     w = gyro * np.exp(-values[_GYRO_GAIN]) - values[:3]
     f = (accel * np.exp(-values[_ACCEL_GAIN]) - values[4:7]) @ matrix(from_rotvec(values[8:11])).T
-    at = stretches.fix_t - values[_SHIFT]
+    at = stretches.fix_t - values[SHIFT]
     half = min(_HALF, 0.5 * float(np.diff(at).min(initial=np.inf)))
     cuts = (at[:, None] + [-half, 0.0, half]).ravel()
     begin = 3 * stretches.begin
