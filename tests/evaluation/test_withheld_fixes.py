@@ -55,3 +55,16 @@ def test_a_solution_without_attitude_is_that_of_the_point_and_has_no_error_of_at
     np.testing.assert_array_equal(errors.pos_n, 0.0)
     np.testing.assert_array_equal(errors.nees, 0.0)
     assert np.isnan(moved.cov[:, 6:]).all()
+
+
+def test_a_solution_without_biases_has_a_velocity_at_the_antenna(case):
+    """The rate that moves the antenna is that of the IMU then."""
+    data, solution = case
+    arm = np.array([3.0, 0.0, 0.0])
+    errors = [
+        fixes.point_errors(replace(solution, gyro_bias_b=bias), solution, arm, data.imu)[0]
+        for bias in (np.full_like(solution.gyro_bias_b, np.nan), np.zeros_like(solution.gyro_bias_b))
+    ]
+    assert np.isfinite(errors[0].vel_n).all()
+    np.testing.assert_array_equal(errors[0].vel_n, errors[1].vel_n)
+    assert np.abs(errors[0].vel_n).max() > 0.0

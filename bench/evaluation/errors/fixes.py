@@ -97,7 +97,7 @@ def point_errors(
         # a filter without attitude gives the position of the point: no lever arm
         has_attitude: BoolArray = np.asarray(~np.isnan(solution.q_nb).all(axis=1))
         arm_n = np.where(has_attitude[:, None], C_nb @ point_b, 0.0)
-        w_b = find_angular_rate(imu, solution.t) - solution.gyro_bias_b
+        w_b = find_angular_rate(imu, solution.t) - np.nan_to_num(solution.gyro_bias_b)
         swing_n = np.einsum("kij,kj->ki", C_nb, np.cross(w_b, point_b))
         swing_n = np.where(has_attitude[:, None], swing_n, 0.0)
         lla, vel_n = earth.displace(solution.lla, arm_n), solution.vel_n + swing_n
