@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bench.io.logs import formats
+from bench.io.logs.mat_files.mat_file import read_mat
 from bench.io.trajectories.track_files import read_track
 from bench.plugins.receiver.receiver_streams.rtcm import read_rtcm
 from bench.plugins.receiver.receiver_streams.ubx import read_ubx
@@ -19,6 +20,7 @@ from bench.plugins.receiver.rinex.observations import read_observations
 from bench.plugins.receiver.rinex.precise_orbits import make_tables, read_precise_orbits
 from bench.simulation.signals.terrain import describe_terrain
 from tests.data import gnss_file, stored_gnss_file
+from tests.exchange.matlab_hdf5 import write_hdf5
 from tests.plugins.autopilots.telemetry_writer import write_telemetry
 from tests.plugins.receiver.packed import compress
 
@@ -115,6 +117,13 @@ def _write_telemetry() -> bytes:
         return write_telemetry(Path(folder) / "a.tlog", count=60).read_bytes()
 
 
+def _write_hdf5() -> bytes:
+    with tempfile.TemporaryDirectory() as folder:
+        path, t = Path(folder) / "a.mat", np.arange(300.0)
+        write_hdf5(path, {"imu": {"t": t, "wb": np.column_stack([t, t, t]), "name": "a"}, "x": np.float32(t)})
+        return path.read_bytes()
+
+
 READERS: dict[str, Format] = {
     "track-igc": Format("a.igc", lambda: _cut(TRACKS / "glider.igc", 60), read_track, True),
     "track-gpx": Format("a.gpx", _make_gpx, read_track, True),
@@ -135,6 +144,7 @@ READERS: dict[str, Format] = {
     "sp3": Format("a.sp3", _cut_sp3, _read_orbits, True),
     "dataflash": Format("a.bin", _cut_flash, _read_flight("dataflash"), False),
     "tlog": Format("a.tlog", _write_telemetry, _read_flight("tlog"), False),
+    "matlab-7.3": Format("a.mat", _write_hdf5, read_mat, False),
     "px4log": Format(
         "a.px4log", lambda: (FLIGHTS / "quad.px4log").read_bytes()[:50_000], _read_flight("dataflash"), False
     ),

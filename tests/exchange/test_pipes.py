@@ -14,7 +14,7 @@ from bench.io import results
 from bench.io.config.toml_file import read_toml
 from bench.io.foreign.solutions import read_solution
 from bench.io.logs.formats import bags, text
-from bench.io.logs.mat_file import read_mat
+from bench.io.logs.mat_files.mat_file import read_mat
 from bench.io.logs.table_files import read_table
 from bench.io.trajectories.track_files import read_track
 from bench.plugins.autopilots import ulog

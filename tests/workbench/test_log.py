@@ -611,7 +611,7 @@ def test_mat_files_that_pickle_bomb_or_are_of_another_kind_are_refused(folder, t
         return str(caught.value)
 
     mat.write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(200))
-    assert "save it with -v7" in said()
+    assert said().startswith(("imu.mat: cannot be read", "imu.mat: a MATLAB file of version 7.3 needs"))
     mat.write_bytes(b"hello")
     assert "not a MATLAB file" in said()
     columns = drives.imu_columns(drives.sensed()["imu"])
@@ -625,7 +625,7 @@ def test_mat_files_that_pickle_bomb_or_are_of_another_kind_are_refused(folder, t
     assert "differ in length" in said()
     savemat(mat, {"zeros": np.zeros(3_000_000)}, do_compression=True)
     assert mat.stat().st_size < 100_000
-    monkeypatch.setattr("bench.io.logs.mat_file.MOST_BYTES", 10_000_000)
+    monkeypatch.setattr("bench.io.logs.mat_files.mat_file.MOST_BYTES", 10_000_000)
     assert "larger than 10 MB when unpacked" in said()
 
 

@@ -14,7 +14,7 @@ from bench.core.records.instruments import INSTRUMENTS
 from bench.core.words.exceptions import ConfigError
 from bench.core.words.wording import one_line, quote_toml
 from bench.io.exports.column_files import START
-from bench.io.logs.mat_file import list_structures, read_mat
+from bench.io.logs.mat_files.mat_file import list_structures, read_mat
 from bench.io.logs.sensor_search import FoundSensor
 
 _CONFIGURATIONS = "*.yaml"  # of KF-GINS

@@ -69,6 +69,17 @@ def _matches(pattern: bytes) -> Callable[[bytes], bool]:
     return lambda head: re.search(pattern, head) is not None
 
 
+def is_hdf5(head: bytes) -> bool:
+    """Return whether a file begins as HDF5, at once or behind 512 bytes of MATLAB.
+
+    Examples
+    --------
+    >>> is_hdf5(b"MATLAB 7.3".ljust(512) + b"\\x89HDF\\r\\n\\x1a\\n")
+    True
+    """
+    return b"\x89HDF\r\n\x1a\n" in (head[:8], head[512:520])
+
+
 KINDS: Sequence[tuple[FileKind, Callable[[bytes], bool]]] = (
     (FileKind("a gzip archive", _UNPACK), _begins(b"\x1f\x8b")),
     (FileKind("a ZIP archive", _UNPACK), _begins(b"PK\x03\x04")),
@@ -81,8 +92,8 @@ KINDS: Sequence[tuple[FileKind, Callable[[bytes], bool]]] = (
     ),
     (FileKind("a picture", "export the data as CSV"), _begins(b"\x89PNG", b"\xff\xd8\xff", b"GIF8")),
     (
-        FileKind("a MATLAB v7.3 (HDF5) file", "save it with save(..., '-v7')"),
-        _begins(b"\x89HDF\r\n", b"MATLAB 7.3"),
+        FileKind("a MATLAB v7.3 (HDF5) file", "name it FILE.mat, then: bench new log FILE.mat"),
+        is_hdf5,
     ),
     (
         FileKind("a Garmin FIT file", "it has fixes but no IMU; convert it to GPX to fly its track"),

@@ -16,7 +16,7 @@ from bench.core.mathematics.units import ENDINGS
 from bench.core.records.sensor_specs import GAUSS_MARKOV_PEAK
 from bench.core.words.exceptions import ConfigError
 from bench.core.words.wording import one_line, quote_toml
-from bench.io.logs.mat_file import find_structure, read_mat
+from bench.io.logs.mat_files.mat_file import find_structure, read_mat
 
 _ONE = "bias_correlation"  # a figure that a datasheet has once for all axes
 _FIELDS: Mapping[str, Mapping[str, tuple[str, str]]] = {

@@ -22,7 +22,7 @@ from bench.core.mathematics.arrays import FloatArray
 from bench.core.mathematics.units import FACTORS, split_unit
 from bench.core.words.exceptions import ConfigError
 from bench.io.logs.file_kinds import describe_unreadable
-from bench.io.logs.mat_file import Value, find_structure, get_vector, read_mat
+from bench.io.logs.mat_files.mat_file import Value, find_structure, get_vector, read_mat
 
 MOST_BYTES = 2_000_000_000
 """Largest file that is read [byte]."""
@@ -116,8 +116,7 @@ def read_table(
     Parameters
     ----------
     path : Path
-        ``.csv`` with a header (`_read_header`), ``.parquet``, or ``.mat`` (to version 7) with a vector per
-        column.
+        ``.csv`` with a header (`_read_header`), ``.parquet``, or ``.mat`` with a vector per column.
     kinds : mapping
         Kind -> alternative groups of columns; the first complete one is used.
     optional : sequence of str

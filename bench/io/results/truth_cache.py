@@ -42,7 +42,7 @@ SHARED = ("t", "lla", "vel_n", "q_nb")
 
 SOURCES = (
     "bench/simulation/flight",
-    "bench/io/logs/mat_file.py",
+    "bench/io/logs/mat_files",
     "bench/io/logs/table_files.py",
     "bench/io/trajectories/track_files.py",
     "bench/io/trajectories/track_fit.py",

@@ -12,7 +12,7 @@ import pytest
 from scipy.io import savemat
 
 from bench.core.words.exceptions import ConfigError
-from bench.io.logs import mat_file
+from bench.io.logs.mat_files import mat_file
 from bench.io.trajectories.track_files import read_track
 from bench.plugins.receiver.receiver_streams.ubx import read_ubx
 from bench.plugins.receiver.rinex import precise_orbits, unpacking

@@ -18,10 +18,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import psutil
 
 from bench.core.files.disk_arrays import ROWS
 from bench.core.files.file_checks import check_file
+from bench.core.files.memory_limit import limit_memory
 from bench.core.mathematics.arrays import FloatArray
 from bench.core.words.exceptions import ConfigError
 from bench.io.logs.formats.unreadable import describe_damage
@@ -54,7 +54,7 @@ def read(form: str, path: Path, kind: str, topic: str | None) -> LogRows:
         raise ConfigError(f"{path.name}: larger than {MOST_BYTES // 1_000_000} MB")
     opened = _open_mcap if form == "mcap" else _open_bag
     try:
-        with _limit_memory(2 * size) as allow, opened(path) as (topics, messages):
+        with limit_memory(MOST_UNPACKED + 2 * size) as allow, opened(path) as (topics, messages):
             chosen = _choose_topic(path, topics, _TYPES[kind], topic)
             row = {"imu": _read_imu, "gnss": read_fix, "baro": _read_pressure}[kind]
             numbers = _read_numbers(path, messages(chosen), row, allow)
@@ -79,30 +79,6 @@ def read(form: str, path: Path, kind: str, topic: str | None) -> LogRows:
             t, {"alt_baro": pressure_altitude(np.where(numbers[:, 1:] > 0, numbers[:, 1:], np.nan))}
         )
     return make_fixes(numbers, twist)
-
-
-@contextmanager
-def _limit_memory(beside: int) -> Iterator[Callable[[int], None]]:
-    """Limit the memory that a file can take when unpacked; beyond it there is a MemoryError.
-
-    Provides a function that makes room for columns [byte].
-    """
-    own = psutil.Process()
-    if not hasattr(own, "rlimit"):  # not Linux: the limit of the system
-        yield lambda columns: None
-        return
-    soft, hard = own.rlimit(psutil.RLIMIT_AS)
-    most = own.memory_info().vms + MOST_UNPACKED + beside
-
-    def allow(columns: int) -> None:
-        limits = [limit for limit in (most + columns, soft, hard) if limit != psutil.RLIM_INFINITY]
-        own.rlimit(psutil.RLIMIT_AS, (min(limits), hard))
-
-    try:
-        allow(0)
-        yield allow
-    finally:
-        own.rlimit(psutil.RLIMIT_AS, (soft, hard))
 
 
 def _choose_topic(path: Path, topics: Mapping[str, str], types: Sequence[str], topic: str | None) -> str:

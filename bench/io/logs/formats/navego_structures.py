@@ -12,7 +12,7 @@ import numpy as np
 
 from bench.core.mathematics.arrays import FloatArray
 from bench.core.words.exceptions import ConfigError
-from bench.io.logs.mat_file import find_structure, get_vector, list_structures, read_mat
+from bench.io.logs.mat_files.mat_file import find_structure, get_vector, list_structures, read_mat
 from bench.io.logs.rows import MOST_ROWS, LogRows
 
 _FIELDS = {"imu": {"t", "wb", "fb"}, "gnss": {"t", "lat", "lon", "h"}}

@@ -1,4 +1,4 @@
-"""Read MATLAB files of version 5 to 7: numeric arrays, and structures of them.
+"""Read MATLAB files of version 5 to 7.3: numeric arrays, and structures of them.
 
 scipy is not used, because a manipulated file can crash its compiled reader. The format is described in
 "MAT-File Format", MathWorks: elements with a tag (type, length) and data, possibly compressed with zlib.
@@ -18,6 +18,8 @@ import numpy as np
 from bench.core.files.file_checks import check_file
 from bench.core.mathematics.arrays import FloatArray
 from bench.core.words.exceptions import ConfigError
+from bench.io.logs.file_kinds import is_hdf5
+from bench.io.logs.mat_files.mat_hdf5 import TooLargeError, read_hdf5
 
 MOST_BYTES = 1_000_000_000
 """Largest size of a file, and of its compressed variables when unpacked [byte]."""
@@ -41,18 +43,19 @@ def read_mat(path: Path) -> dict[str, Value]:
     Raises
     ------
     ConfigError
-        If the file is not a MATLAB file, is of version 7.3, is broken, or is too large when unpacked.
+        If the file is not a MATLAB file, is broken, or is too large when unpacked.
     """
     shown = path.name
     variables: dict[str, Value] = {}
     try:
         check_file(path, shown, MOST_BYTES)
         with path.open("rb") as file:
+            if is_hdf5(file.read(1024)):
+                return read_hdf5(path, MOST_BYTES, _DEEPEST)
+            file.seek(0)
             head = file.read(128)
-            if head[:8] == b"\x89HDF\r\n\x1a\n" or b"MATLAB 7.3" in head:
-                raise ConfigError(f"{shown}: a MATLAB file of version 7.3 is not read; save it with -v7")
             if not head.startswith(b"MATLAB 5.0") or head[126:] not in (b"IM", b"MI"):
-                raise ConfigError(f"{shown}: not a MATLAB file of version 5 to 7")
+                raise ConfigError(f"{shown}: not a MATLAB file of version 5 to 7.3")
             whole = _MatBytes(iter(partial(file.read, _BLOCK), b""), "<" if head[126:] == b"IM" else ">")
             left: float = MOST_BYTES
             for kind, size in whole.elements(path.stat().st_size - len(head)):
@@ -64,7 +67,7 @@ def read_mat(path: Path) -> dict[str, Value]:
                         if kind_inside == _MATRIX:
                             variables.update([_read_array(inner, size_inside, 0)])
                     left = inner.left
-    except _TooLargeError:
+    except TooLargeError:
         raise ConfigError(f"{shown}: larger than {MOST_BYTES // 1_000_000} MB when unpacked") from None
     except (ValueError, OverflowError, MemoryError, zlib.error) as error:
         raise ConfigError(f"{shown}: cannot be read: {' '.join(str(error).split())[:200]}") from None
@@ -115,10 +118,6 @@ def get_vector(value: Value, name: str, shown: str) -> FloatArray:
     return np.atleast_1d(value)
 
 
-class _TooLargeError(Exception):
-    """The unpacked data exceed their size limit."""
-
-
 class _MatBytes:
     """The bytes of a file or of a packed variable in their order, with the elements among them."""
 
@@ -128,10 +127,10 @@ class _MatBytes:
         self.left = left  # that what is read may still take in memory [byte]
 
     def spend(self, size: int) -> None:
-        """Take from what is left [byte]; raise `_TooLargeError` at its end."""
+        """Take from what is left [byte]; raise `TooLargeError` at its end."""
         self.left -= size
         if self.left < 0:
-            raise _TooLargeError
+            raise TooLargeError
 
     def read(self, count: int) -> bytes:
         """Return the next bytes; fewer at the end."""

@@ -1,0 +1,1 @@
+"""Read MATLAB files: variables by name, whatever the version of the file."""
