@@ -77,6 +77,8 @@ ENDINGS: Mapping[str, Unit] = {
     "_km": Unit("km", 1e3),
     "_mmps": Unit("mm/s", 1e-3),
     "_mm": Unit("mm", 1e-3),
+    "_cm": Unit("cm", 1e-2),
+    "_dm": Unit("dm", 1e-1),
     "_deg_e7": Unit("deg_e7", 1e-7 * DEG),
     "_100us": Unit("100us", 1e-4),
     "_g": Unit("g", _G),

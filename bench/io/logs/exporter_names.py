@@ -27,6 +27,7 @@ class Exporter(NamedTuple):
     sign: str = ""  # of its accelerometers, if it is not that of specific force
     gyro_clock: str = ""  # pattern of the time of its gyros [s], if they have their own
     epochs: tuple[str, str] = ("", "")  # patterns of the times of IMU and fixes [s], on two clocks
+    hints: Mapping[str, str] = {}  # name of ours -> what to ask of its unit, or to do if it has none
 
 
 def _name_axes(ours: str, *theirs: str, unit: str = "") -> dict[str, tuple[str, ...]]:
@@ -38,6 +39,17 @@ def _number_axes(ours: str, theirs: str, unit: str) -> dict[str, tuple[str, ...]
     return {f"{ours}_{axis}{unit}": (f"{theirs}{k}",) for k, axis in enumerate("xyz")}
 
 
+_DECODE = "decode the log again by blackbox_decode --unit-rotation deg/s --unit-acceleration m/s2"
+_BLACKBOX = {
+    "t": ("time",),
+    **_number_axes("gyro", "gyroadc", ""),
+    **_number_axes("accel", "accsmooth", ""),
+    "lat_deg": ("gpscoord0",),
+    "lon_deg": ("gpscoord1",),
+    "speed_mps": ("gpsspeed",),
+    "course_deg": ("gpsgroundcourse",),
+    "satellites": ("gpsnumsat",),
+}
 _ROS_TIMES = {"t_ns": ("(field)?headerstamp",), "t_s": (".*headerstampsecs?",), "t": (".*time",)}
 EXPORTERS = (
     # VectorNav SDK and Sensor Explorer; ICD: TimeStartup in ns, rates in rad/s, DeltaTheta in deg
@@ -164,6 +176,16 @@ EXPORTERS = (
             **{f"vel_{a}_mps": (f"vel{a}ms",) for a in "ned"},
             "satellites": ("satellitesused",),
         },
+    ),
+    # src/blackbox_decode.c of github.com/betaflight/blackbox-tools; axes of src/main/flight/imu.c of the
+    # firmware, where a positive pitch is nose down. orangebox reads the log itself, but uv rejects its wheel
+    Exporter("iNav blackbox", ("gpshdop",), {**_BLACKBOX, "alt_m": ("gpsaltitude",)}, FORWARD_LEFT_UP),
+    Exporter(
+        "Betaflight blackbox",
+        ("gyroadc0", "gpscoord0"),
+        {**_BLACKBOX, "alt_dm": ("gpsaltitude",)},
+        FORWARD_LEFT_UP,
+        hints={"alt_dm": "taken as dm, of Betaflight 4; before it is cm", "accel_x": _DECODE},
     ),
     # ROS: rostopic echo -p, bagpy, PlotJuggler; sensor_msgs/Imu and NavSatFix, axes of REP 103
     Exporter(

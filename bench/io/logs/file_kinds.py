@@ -104,7 +104,11 @@ KINDS: Sequence[tuple[FileKind, Callable[[bytes], bool]]] = (
         lambda head: _is_frame(head, b"\xfe\xfd"),
     ),
     (
-        FileKind("a Betaflight or iNav blackbox", "decode it to CSV by blackbox_decode"),
+        FileKind(
+            "a Betaflight or iNav blackbox",
+            "decode it by blackbox_decode --unit-rotation deg/s --unit-acceleration m/s2 FILE, then: "
+            "bench new log FILE.csv",
+        ),
         _begins(b"H Product:Blackbox"),
     ),
     (FileKind(RTCM, "compute fixes from its ranges: bench fixes FILE"), _is_rtcm),

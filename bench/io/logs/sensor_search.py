@@ -48,6 +48,7 @@ _SPELLINGS = {
     "μ": "u",
     "²": "2",
     "/s1": "/s",
+    "/s/s": "/s2",
     "sec": "s",
     "kmh": "km/h",
     "kph": "km/h",
@@ -338,7 +339,7 @@ def _match_program(path: Path, names: Sequence[str], kind: str, longest: float) 
         if _FOREIGN.fullmatch(unit.removeprefix("_")):
             raise ConfigError(f"{path.name}: {name!r} is in a unit that no column of a log has; convert it")
         if not unit and stem not in _COUNTS:
-            unit = "_" + _guess_unit(path, stem, wanted, stems, longest)
+            unit = "_" + _guess_unit(path, stem, wanted, stems, longest, program.hints.get(ours, ""))
             if stem.startswith(_TURNS):
                 guessed.append(name)
         columns[f"{stem}{unit}"] = name
@@ -346,8 +347,9 @@ def _match_program(path: Path, names: Sequence[str], kind: str, longest: float) 
     unit = next(
         (o.removeprefix(s) for s in stems if s.startswith(_TURNS) for o in columns if o.startswith(s)), ""
     )
-    asked = (f"{', '.join(guessed)}: taken as {unit[1:]} by the values",) if guessed else ()
-    found = FoundSensor(path, columns, asked, turns=turns, program=program.title, axes=program.axes)
+    asked = [f"{', '.join(guessed)}: taken as {unit[1:]} by the values"] if guessed else []
+    asked += [f"{columns[ours]}: {program.hints[ours]}" for ours in columns if ours in program.hints]
+    found = FoundSensor(path, columns, tuple(asked), turns=turns, program=program.title, axes=program.axes)
     return found._replace(**find_clocks(path, columns, names, program)) if kind == "imu" else found
 
 
@@ -356,9 +358,12 @@ def _stem(ours: str, stems: Collection[str]) -> str:
 
 
 def _guess_unit(
-    path: Path, stem: str, columns: Mapping[str, str], stems: Collection[str], longest: float
+    path: Path, stem: str, columns: Mapping[str, str], stems: Collection[str], longest: float, hint: str
 ) -> str:
-    """Return the unit of a column by its values and the values of the columns that belong to it."""
+    """Return the unit of a column by its values and the values of the columns that belong to it.
+
+    ``hint``: what to do if they have none.
+    """
     quantities = [q for ways in _KINDS.values() for way in ways for q in way]
     quantity = next((q for q in quantities if stem in q.stems), TIME)
     names = [name for ours, name in columns.items() if _stem(ours, stems) in quantity.stems]
@@ -367,14 +372,13 @@ def _guess_unit(
         return guess_time(values, longest)
     if stem in _MILLIMETERS:
         return guess_length(values) + ("ps" if stem != "alt" else "")
-    return quantity.guess(values) or _refuse_force(path, names)
+    return quantity.guess(values) or _refuse_force(path, names, hint)
 
 
-def _refuse_force(path: Path, names: Sequence[str]) -> str:
-    text = (
-        "not gravity in m/s^2, g or mg, as a specific force has it; increments are dtheta_x_rad, dvel_x_mps"
-    )
-    raise ConfigError(f"{path.name}: {', '.join(names)}: {text} ...: bench guide log-format")
+def _refuse_force(path: Path, names: Sequence[str], hint: str = "") -> str:
+    hint = hint or "increments are dtheta_x_rad, dvel_x_mps ...: bench guide log-format"
+    text = f"not gravity in m/s^2, g or mg, as a specific force has it; {hint}"
+    raise ConfigError(f"{path.name}: {', '.join(names)}: {text}")
 
 
 def match_columns(
@@ -418,7 +422,8 @@ def _split_name(name: str) -> tuple[str, str]:
 
     A unit that no column of a log has is returned unchanged; empty if there is none.
     """
-    words, _, bracket = re.sub(r"[\])].*", "", name.lower().replace("[", "(")).partition("(")
+    name = re.sub(r"\[\d+\]", "", name.lower()).replace("[", "(")  # gyroADC[0] (deg/s)
+    words, _, bracket = re.sub(r"[\])].*", "", name).partition("(")
     words = words.strip().lstrip("#").strip().replace(" ", "_")
     for theirs, ours in _RUN_TOGETHER.items():
         if words.endswith(theirs):

@@ -35,7 +35,7 @@ UNITS = {
     "time": ("s",),
     "clock": ("s", "ms", "us", "ns", "100us"),
     "angle": ("deg", "rad", "mrad", "deg_e7"),
-    "length": ("m", "km", "mm"),
+    "length": ("m", "km", "mm", "cm", "dm"),
     "speed": ("m/s", "mm/s", "km/h"),
     "rate": ("rad/s", "deg/s", "deg/h"),
     "acceleration": ("m/s^2", "g", "mg"),
