@@ -66,6 +66,8 @@ class SourceSpec:
     axes: tuple[int, int, int] = (1, 2, 3)  # of the file along x, y, z; negative: reversed
     gyro_axes: tuple[int, int, int] = (1, 2, 3)  # those of the gyros of an IMU
     accel_axes: tuple[int, int, int] = (1, 2, 3)  # those of its accelerometers
+    frame: str | None = None  # axes of local positions, such as "enu-flu"
+    origin: tuple[float, ...] | None = None  # of them: latitude, longitude [deg], height [m], heading [deg]
     gravity: bool = False  # its accelerometers have the sign of gravity
     gyro_path: Path | None = None  # of the gyros, if they have times of their own
     gyro_columns: Mapping[str, str] = field(default_factory=dict)
@@ -82,8 +84,6 @@ class ReferenceSpec:
     mounting: tuple[float, float, float]  # roll, pitch, yaw of its axes in b [rad]
     quality: tuple[int, ...]  # of the rows to use; empty: all
     align: str | None = None  # of local positions with the fixes: "se3", "yaw" or "none"
-    frame: str | None = None  # axes of local positions, such as "enu-flu"
-    origin: tuple[float, ...] | None = None  # latitude, longitude [deg], height [m], heading [deg]
 
 
 @dataclass(frozen=True, slots=True)
@@ -279,8 +279,6 @@ def _make_spec(
             _to_radians(table.reference.mounting_deg),
             table.reference.quality,
             table.reference.align,
-            table.reference.frame,
-            table.reference.origin,
         )
         if table.reference and reference
         else None,
@@ -360,7 +358,7 @@ def _find_ranges(row: GnssTable, beside: Path, place: str, wrong: list[str]) -> 
     keys = ["format", "topic", "columns", "velocity_offset_s", "velocity_sd_mps", "quality", "quality_sd_m"]
     found = [
         f"{key} is for fixes in a file, not for observations"
-        for key in (*keys, "clock")
+        for key in (*keys, "clock", "frame", "origin")
         if key in row.model_fields_set
     ]
     observations, navigation = (

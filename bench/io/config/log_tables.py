@@ -139,7 +139,16 @@ class ImuTable(FileTable, AxesTable):
     datasheet."""
 
 
-class GnssTable(FileTable):
+class LocalTable(FileTable):
+    """A file whose positions may be in a local frame."""
+
+    frame: str | None = None
+    """Axes of local positions and of the body, such as "ned-frd". Default: by the format, or "enu-flu"."""
+    origin: Annotated[tuple[float, float, float, float], ROWS] | None = None
+    """Latitude, longitude [deg], height [m] of a local frame, heading [deg] of its north axis."""
+
+
+class GnssTable(LocalTable):
     """The GNSS receiver: position of its antenna, from the same point as the IMU, and the fixes to use.
 
     It gives fixes in a file, or ranges in those of a receiver, from which the fixes are solved.
@@ -180,7 +189,7 @@ class RadarTable(FileTable):
     """Ellipsoidal height of the ground below it. Default: by its first reading and the first fix."""
 
 
-class ReferenceTable(FileTable):
+class ReferenceTable(LocalTable):
     """Motion that another unit measured, the reference: of its point, its axes in the vehicle."""
 
     position_m: _Arm3 = (0.0, 0.0, 0.0)
@@ -191,10 +200,6 @@ class ReferenceTable(FileTable):
     """Classes of the rows that count. Default: all."""
     align: Literal["se3", "yaw", "none"] | None = None
     """Alignment of local positions with the fixes. Default: yaw, or none if their place is known."""
-    frame: str | None = None
-    """Axes of local positions and of the body, such as "ned-frd". Default: the axes of the format."""
-    origin: Annotated[tuple[float, float, float, float], ROWS] | None = None
-    """Latitude, longitude [deg], height [m] of a local frame, heading [deg] of its north axis."""
 
 
 class _AssumedTable(Table):
@@ -326,6 +331,8 @@ def describe_frame(row: FileTable, day: datetime.date | None, beside: Path) -> d
     """Return the offset of the times of a table to GPS time [s], its axes, sign of forces, and gyros."""
     leap = leap_seconds(day) if row.clock == "utc" and day is not None else 0
     frame: dict[str, Any] = {"time_offset": float(row.time_offset_s) + leap}
+    if isinstance(row, LocalTable):
+        frame |= {"frame": row.frame, "origin": row.origin}
     if isinstance(row, AxesTable):
         frame["axes"] = read_axes(row.axes)
     if isinstance(row, ImuTable):

@@ -24,9 +24,11 @@ from bench.core.records.instruments import INSTRUMENTS
 from bench.core.records.run_records import SkyView
 from bench.core.words.exceptions import ConfigError
 from bench.io.config.log import RANGES, LogSpec, SourceSpec
+from bench.io.foreign.solution_rows import Placing
 from bench.io.log_formats import find_format
 from bench.io.logs import formats
 from bench.io.logs.formats.navego_structures import list_sensors
+from bench.io.logs.local_tables import ASSUMED, place_rows
 from bench.io.logs.log_heights import find_ground, set_altimeter
 from bench.io.logs.log_ranges import read_ranges
 from bench.io.logs.record_clock import check_order, meet_week, unwrap_week
@@ -147,6 +149,8 @@ def _read_rows(source: SourceSpec, kind: str) -> LogRows:
         kinds = {"imu": IMU, "gnss": GNSS, **INSTRUMENT_ROWS}[kind]
         table = read_table(source.path, kinds, OPTIONAL, MOST_ROWS, source.columns, structure=topic)
         rows = LogRows.from_table(table, shown)
+        if kind == "gnss":
+            rows = place_rows(rows, table, Placing(source.frame, source.origin, ASSUMED), shown)[0]
     else:
         rows = formats.read(form, source.path, kind, topic)
     rows = drop_timeless(rows, kind, shown)

@@ -27,6 +27,7 @@ from bench.io.foreign.solutions import DEVIATIONS, read_attitudes, read_solution
 from bench.io.log_formats import NAV, find_format
 from bench.io.logs import formats
 from bench.io.logs.formats.pose_files import read_poses
+from bench.io.logs.local_tables import place_rows
 from bench.io.logs.own_estimate import NEAR, look, read_truth
 from bench.io.logs.record_clock import meet_week, unwrap_week
 from bench.io.logs.rows import GNSS, MOST_ROWS, OPTIONAL, LogRows
@@ -75,23 +76,21 @@ def read_reference(
     """
     source, shown = spec.source, spec.source.path.name
     kind, is_local = NONE, source.format == "poses" and bool(read_poses(source.path).frame)
+    near = fixes.lla[np.argmax(fixes.valid)] if fixes.valid.any() else None
+    placing = Placing(source.frame, source.origin, near)
     if source.path.suffix.lower() == NAV or is_local:
-        near = fixes.lla[np.argmax(fixes.valid)] if fixes.valid.any() else None
-        found = read_solution(source.path, placing=Placing(spec.frame, spec.origin, near))
+        found = read_solution(source.path, placing=placing)
         if is_local:
             shift = RunClock.of_log(0.0, last, origin).find_start(found.t + source.time_offset, "")[0]
             found = replace(found, t=found.t - shift + origin)
-            kind = spec.align or (NONE if found.placed else YAW)
-            if kind == NONE and not found.placed:
-                raise ConfigError(
-                    f"{shown}: its local frame has no known place: set origin, or align = 'yaw' or 'se3'"
-                )
+            kind = _choose_alignment(spec, found.placed)
         t, lla, vel_n, q_nb = found.t, found.lla, found.vel_n, found.q_nb
         cov = np.zeros((len(t), 9, 9)) if found.cov is None else found.cov
         good = np.ones(len(t), np.bool_)
         values: dict[str, FloatArray] = {}
     else:
-        rows, q_nb, sd_phi = _read_rows(spec)
+        rows, q_nb, sd_phi, placed = _read_rows(spec, placing)
+        kind = NONE if placed is None else _choose_alignment(spec, placed)
         rows = meet_week(unwrap_week(rows, shown), origin, origin + last)
         t, values = rows.t, dict(rows.values)
         lla, vel_n = values["lla"], values.get("vel_n", np.full((len(t), 3), np.nan))
@@ -124,6 +123,15 @@ def read_reference(
     return (reference, []) if kind == NONE else _align(kind, reference, fixes, antenna_b, shown)
 
 
+def _choose_alignment(spec: ReferenceSpec, placed: bool) -> str:
+    """Return the alignment of local positions; raise ConfigError if they have no place without one."""
+    kind = spec.align or (NONE if placed else YAW)
+    if kind == NONE and not placed:
+        text = "its local frame has no known place: set origin, or align = 'yaw' or 'se3'"
+        raise ConfigError(f"{spec.source.path.name}: {text}")
+    return kind
+
+
 def _align(
     kind: str, reference: Reference, fixes: GnssFixes, antenna_b: FloatArray, shown: str
 ) -> tuple[Reference, list[Check]]:
@@ -136,26 +144,29 @@ def _align(
     return replace(reference, track=found.apply(reference.track)), [check]
 
 
-def _read_rows(spec: ReferenceSpec) -> tuple[LogRows, FloatArray, FloatArray | None]:
-    """Return the rows of a file, the attitude (N, 4) and its sd (N, 3), if it has them."""
+def _read_rows(
+    spec: ReferenceSpec, placing: Placing
+) -> tuple[LogRows, FloatArray, FloatArray | None, bool | None]:
+    """Return the rows of a file, the attitude (N, 4) and its sd (N, 3), if it has them, and `place_rows`'."""
     source, shown = spec.source, spec.source.path.name
     knows = find_format(source.format).knows
     if knows and source.topic is None and look(source.format, source.path).truth:
-        return _read_truth(source)
+        return (*_read_truth(source), None)
     if source.format != "table":
         rows = formats.read(source.format, source.path, "gnss", source.topic)
-        return rows, rows.values.get("q_nb", np.full((len(rows.t), 4), np.nan)), None
+        return rows, rows.values.get("q_nb", np.full((len(rows.t), 4), np.nan)), None, None
     optional = (*OPTIONAL, "attitude", "attitude sd")
     table = read_table(source.path, _TABLE, optional, MOST_ROWS, source.columns, structure=source.topic)
     rows = LogRows.from_table(table, shown)
-    lla = rows.values["lla"]
+    lla = rows.values.get("lla", np.zeros((len(rows.t), 3)))  # north of a local frame is north
     q_nb = np.full((len(lla), 4), np.nan)
     if "attitude" in table.columns:
         known = np.isfinite(lla).all(axis=1) & np.isfinite(table.columns["attitude"]).all(axis=1)
         given = {kind: table.columns[kind][known] for kind in ("position", "attitude")}
         q_en = rotation.from_matrix(matrix_en(*lla[known, :2].T))
         q_nb[known] = read_attitudes(table, given, q_en, np.flatnonzero(known) + 1, shown)
-    return rows, q_nb, table.columns.get("attitude sd")
+    rows, placed = place_rows(replace(rows, values={**rows.values, "q_nb": q_nb}), table, placing, shown)
+    return rows, rows.values["q_nb"], table.columns.get("attitude sd"), placed
 
 
 def _read_truth(source: SourceSpec) -> tuple[LogRows, FloatArray, None]:

@@ -69,12 +69,20 @@ IMU: Mapping[str, tuple[Group, ...]] = {
 }
 """Rates and specific forces, or increments of angle and velocity, in the axes of the IMU."""
 
+LOCAL_AXES: Mapping[tuple[str, ...], str] = {
+    **dict.fromkeys((("x", "y", "z"), ("pos_x", "pos_y", "pos_z")), ""),
+    **dict.fromkeys((("east", "north", "up"), ("pos_e", "pos_n", "pos_u"), ("pe", "pn", "pu")), "enu"),
+    **dict.fromkeys((("north", "east", "down"), ("pos_n", "pos_e", "pos_d"), ("pn", "pe", "pd")), "ned"),
+}
+"""Columns of positions in a local frame -> its axes; those of x, y, z are named elsewhere."""
+
 GNSS: Mapping[str, tuple[Group, ...]] = {
     "time": _TIMES,
     "position": (
         {**group("angle", "lat", "lon"), **group("length", "alt")},
         {**group("angle", "lat", "lon"), **group("length", "height")},
         group("length", "ecef_x", "ecef_y", "ecef_z"),
+        *(group("length", *stems) for stems in LOCAL_AXES),
     ),
     "velocity": (
         group("speed", "vel_n", "vel_e", "vel_d"),
@@ -101,7 +109,7 @@ GNSS: Mapping[str, tuple[Group, ...]] = {
     "satellites": (group("", "satellites"),),
     **_FLAGS,
 }
-"""Position and velocity of the antenna: geodetic WGS 84 with ellipsoidal height, or Earth-fixed."""
+"""Position and velocity of the antenna: geodetic WGS 84 with ellipsoidal height, Earth-fixed, or local."""
 
 BARO: Mapping[str, tuple[Group, ...]] = {
     "time": _TIMES,
@@ -170,9 +178,10 @@ class LogRows:
             values["gyro" if rates else "dtheta"] = found["motion"][:, :3]
             values["accel" if rates else "dvel"] = found["motion"][:, 3:]
         if "position" in found:
-            geodetic = stems["position"][0] == "lat"
-            lla = found["position"] if geodetic else to_lla(found["position"])
-            values["lla"] = lla
+            lla, local = found["position"], stems["position"] in LOCAL_AXES
+            if stems["position"][0] == "ecef_x":
+                lla = to_lla(lla)
+            values["pos_l" if local else "lla"] = lla
             if "velocity" in found:
                 values["vel_n"] = _to_vel_n(found["velocity"], stems["velocity"], lla)
             values |= {new: _spread(found[old], stems[old]) for old, new in _SPREADS.items() if old in found}

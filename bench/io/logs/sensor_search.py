@@ -10,12 +10,13 @@ from typing import NamedTuple
 import numpy as np
 
 from bench.core.mathematics.arrays import FloatArray
-from bench.core.mathematics.units import ENDINGS, FACTORS, STANDARD_GRAVITY, split_unit
+from bench.core.mathematics.units import FACTORS, STANDARD_GRAVITY, split_unit
 from bench.core.words.exceptions import ConfigError
 from bench.io.log_formats import FORMATS
 from bench.io.logs.exporter_names import make_plain, match_exporter
 from bench.io.logs.file_kinds import describe_unreadable
 from bench.io.logs.finding.program_clocks import find_clocks
+from bench.io.logs.finding.written_names import FOREIGN, IN_BRACKETS, find_name, split_name
 from bench.io.logs.formats.navego_structures import list_sensors
 from bench.io.logs.record_clock import find_week
 from bench.io.logs.rows import BARO, GNSS, IMU, MOST_ROWS
@@ -28,31 +29,7 @@ TEXTS = (TEXT, ".tsv")
 _GRAVITY = {"g": 1.0, "m_s2": STANDARD_GRAVITY, "mg": 1000.0}
 NEAR, _SAME_WAY = 0.25, 0.5  # how near gravity the median is, and how much of it stays along an axis [1]
 IMU_STEP, _OTHER_STEP = 0.5, 2.0  # longest step of the times of an IMU, of another sensor [s]
-_WRITTEN = {unit.symbol.replace("^", "").lower(): ending for ending, unit in ENDINGS.items()}
-"""Unit in brackets behind a name -> ending."""
-_FOREIGN = re.compile(r"f(oo|ee)?t(/s)?|kno?ts?|kn|mph|min|h|hours?")
-"""Units that no column of a log has."""
 _COUNTS = ("satellites", "hdop", "vdop")  # columns without a unit
-_IN_BRACKETS = re.compile(r"[\[(](?!\d+[\])])")
-"""A unit, but no index."""
-_RUN_TOGETHER = {
-    **{"_dps": "_deg_s", "_degps": "_deg_s", "_degs": "_deg_s", "_radps": "_rad_s", "_rads": "_rad_s"},
-    **{"_kmh": "_km_h", "_kph": "_km_h", "_mps2": "_m_s2", "_ms2": "_m_s2", "_mss": "_m_s2"},
-}
-"""Endings of units as others write them -> ending."""
-_SPELLINGS = {
-    "°": "deg",
-    "degrees": "deg",
-    "dps": "deg/s",
-    "µ": "u",
-    "μ": "u",
-    "²": "2",
-    "/s1": "/s",
-    "/s/s": "/s2",
-    "sec": "s",
-    "kmh": "km/h",
-    "kph": "km/h",
-}
 
 
 def guess_time(t: FloatArray, longest: float = _OTHER_STEP) -> str:
@@ -97,6 +74,7 @@ class SensorQuantity(NamedTuple):
     patterns: tuple[str, ...]
     guess: Callable[[FloatArray], str]
     needed: bool = True
+    hint: str = ""  # what is assumed of them
 
 
 def _name_axes(stem: str, words: str, guess: Callable[[FloatArray], str]) -> SensorQuantity:
@@ -118,9 +96,6 @@ def _name_velocity(third: str, word: str) -> SensorQuantity:
     return SensorQuantity(("vel_n", "vel_e", f"vel_{third}"), patterns, lambda _: "mps", needed=False)
 
 
-_ACCURACY = re.compile(r"(.*_)?(sd|std|stddev|sigma|var|cov|accuracy)(_.*)?")
-_NO_GRAVITY = re.compile(r"(.*_)?(linear|lin|free|user|gravity|bias|mag).*")
-"""What is beside the specific force in the tables of phones and filters."""
 _TURNS = ("gyro_", "dtheta_")
 _MILLIMETERS = ("alt", "vel_n", "vel_e", "vel_d")
 GYRO = _name_axes("gyro", r"gyr(o(scope)?)?s?|w|omega|rate|angular_(velocity|rate)", guess_rate)
@@ -133,10 +108,27 @@ _FIX = (
     _name_velocity("d", "down"),
     _name_velocity("u", "up"),
 )
+
+
+def _name_local(letters: str, *words: str) -> tuple[SensorQuantity, ...]:
+    """Return the columns of positions along three words, such as east, north, up, with what may be there."""
+    patterns = tuple(rf"p(os(ition)?)?_?({word[0]}|{word})|{word}" for word in words)
+    if letters == "xyz":  # without a unit they are those of a phone
+        patterns = tuple(rf"(p(os(ition)?)?_?)?{letter}_m" for letter in letters)
+    hint = f"a local frame, {', '.join(words)}"
+    stems = tuple(f"pos_{letter}" for letter in letters)
+    return (TIME, SensorQuantity(stems, patterns, lambda _: "m", hint=hint), *_FIX[3:])
+
+
+_LOCAL = (
+    _name_local("enu", "east", "north", "up"),
+    _name_local("ned", "north", "east", "down"),
+    _name_local("xyz", "east", "north", "up"),
+)
 _HEIGHT = (TIME, SensorQuantity(("alt_baro",), (r"alt_?baro|baro_?alt(itude)?",), lambda _: "m"))
 _KINDS: Mapping[str, tuple[tuple[SensorQuantity, ...], ...]] = {
     "imu": (_RATES, _INCREMENTS),
-    "gnss": (_FIX,),
+    "gnss": (_FIX, *_LOCAL),
     "baro": (_HEIGHT,),
 }
 """The sets of columns of each sensor, one of which a table has."""
@@ -333,10 +325,10 @@ def _match_program(path: Path, names: Sequence[str], kind: str, longest: float) 
         stem = _stem(ours, stems)
         if stem in other:
             continue
-        written, known = _split_name(name)[1], ours.removeprefix(stem)
-        unit = written if _IN_BRACKETS.search(name) and written else known or written
+        written, known = split_name(name)[1], ours.removeprefix(stem)
+        unit = written if IN_BRACKETS.search(name) and written else known or written
         unit = known if stem.startswith("accuracy") else unit  # phyphox writes degrees for meters
-        if _FOREIGN.fullmatch(unit.removeprefix("_")):
+        if FOREIGN.fullmatch(unit.removeprefix("_")):
             raise ConfigError(f"{path.name}: {name!r} is in a unit that no column of a log has; convert it")
         if not unit and stem not in _COUNTS:
             unit = "_" + _guess_unit(path, stem, wanted, stems, longest, program.hints.get(ours, ""))
@@ -386,20 +378,20 @@ def match_columns(
 ) -> FoundSensor | None:
     """Return the columns of a sensor among the names with a prefix; None if a required column is missing."""
     inside = [name.removeprefix(prefix) for name in names if name.startswith(prefix)]
-    plain = {name: _split_name(name) for name in inside}
+    plain = {name: split_name(name) for name in inside}
     columns: dict[str, str] = {}
     guessed: list[str] = []
     for quantity in quantities:
         if any(split_unit(name)[0] in quantity.stems for name in columns):
             continue  # the velocity down, and up as well
-        theirs = [_find_name(pattern, plain, columns) for pattern in quantity.patterns]
+        theirs = [find_name(pattern, plain, columns) for pattern in quantity.patterns]
         known = [name for name in theirs if name is not None]
         if len(known) < len(theirs):
             if quantity.needed:
                 return None
             continue
         endings = [plain[name][1] for name in known]
-        if foreign := next((name for name in known if _FOREIGN.fullmatch(plain[name][1])), None):
+        if foreign := next((name for name in known if FOREIGN.fullmatch(plain[name][1])), None):
             text = f"{foreign!r} is in a unit that no column of a log has; convert it: bench guide log-format"
             raise ConfigError(f"{path.name}: {text}")
         if "" in endings:
@@ -408,42 +400,13 @@ def match_columns(
             unit = guess_time(values, longest) if quantity is TIME else quantity.guess(values)
             if not unit:
                 unit = _refuse_force(path, known)
-            guessed.append(f"{', '.join(known)}: taken as {unit} by the values")
+            if not quantity.hint:
+                guessed.append(f"{', '.join(known)}: taken as {unit} by the values")
             endings = [f"_{unit}"] * len(known)
+        if quantity.hint:
+            guessed.append(f"{', '.join(known)}: taken as {quantity.hint}")
         columns |= {
             f"{stem}{ending}": name for stem, ending, name in zip(quantity.stems, endings, known, strict=True)
         }
     turns = any(re.fullmatch(r"(.*_)?(pitch|q(_nb|_eb)?_?w)", stem) for stem, _ in plain.values())
     return FoundSensor(path, columns, tuple(guessed), prefix.removesuffix("."), turns=turns)
-
-
-def _split_name(name: str) -> tuple[str, str]:
-    """Return the words of a name, and the ending of its unit, which may follow in brackets.
-
-    A unit that no column of a log has is returned unchanged; empty if there is none.
-    """
-    name = re.sub(r"\[\d+\]", "", name.lower()).replace("[", "(")  # gyroADC[0] (deg/s)
-    words, _, bracket = re.sub(r"[\])].*", "", name).partition("(")
-    words = words.strip().lstrip("#").strip().replace(" ", "_")
-    for theirs, ours in _RUN_TOGETHER.items():
-        if words.endswith(theirs):
-            return words.removesuffix(theirs), ours
-    stem = split_unit(words)[0]
-    if stem != words:
-        return stem, words[len(stem) :]
-    written = re.sub(r"[\s^]", "", re.sub(r"[ .*·]*s\.?\^?-", "/s", bracket.strip()))
-    for theirs, ours in _SPELLINGS.items():
-        written = written.replace(theirs, ours)
-    return stem, written if _FOREIGN.fullmatch(written) else _WRITTEN.get(written, "")
-
-
-def _find_name(pattern: str, plain: Mapping[str, tuple[str, str]], taken: Mapping[str, str]) -> str | None:
-    """Return the shortest name that fits a pattern, is not taken, and does not name an accuracy."""
-    fitting = [
-        name
-        for name, (stem, _) in plain.items()
-        if re.fullmatch(pattern, stem)
-        and not any(other.fullmatch(stem) for other in (_ACCURACY, _NO_GRAVITY))
-        and name not in taken.values()
-    ]
-    return min(fitting, key=len, default=None)
