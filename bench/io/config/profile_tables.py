@@ -369,5 +369,6 @@ class TrajectoryTable(_ExternalTable):
     """Profile with a trajectory table, or a track, as its truth."""
 
     trajectory: str
-    """A .csv, .parquet, .gpx, .kml, .igc or .nmea file, beside the profile."""
+    """A .csv, .parquet, .gpx, .kml, .igc or .nmea file, or a motion definition of gnss-ins-sim, beside the
+    profile."""
     track: TrackTable | None = None

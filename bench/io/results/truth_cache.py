@@ -44,6 +44,7 @@ SOURCES = (
     "bench/simulation/flight",
     "bench/io/logs/mat_files",
     "bench/io/logs/table_files.py",
+    "bench/io/trajectories/motion_commands.py",
     "bench/io/trajectories/track_files.py",
     "bench/io/trajectories/track_fit.py",
     "bench/io/trajectories/track_motion.py",

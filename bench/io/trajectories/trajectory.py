@@ -35,6 +35,7 @@ from bench.core.records.data import EventRow, Events, Trajectory
 from bench.core.records.flight_specs import TableSpec, TrackSpec
 from bench.core.words.exceptions import ConfigError
 from bench.io.logs.table_files import TableColumns, check_times, find_first, group, list_names, read_table
+from bench.io.trajectories.motion_commands import fly_commands, is_motion_definition
 from bench.io.trajectories.track_files import READERS, order_fixes, read_track
 from bench.io.trajectories.track_motion import TableMotion, doubt_degrees, make_motion
 from bench.simulation.flight.increments import Motion
@@ -140,10 +141,14 @@ def read_trajectory(spec: TableSpec) -> Iterator[Trajectory]:
 
 
 def _read_motion(spec: TableSpec) -> TableMotion:
-    """Return the motion of a table, or of a track."""
+    """Return the motion of a table, of a track, or of commands."""
     shown, track = spec.path.name, spec.track or TrackSpec()
     if spec.path.suffix.lower() in READERS:
         return make_motion(read_track(spec.path), track, shown)
+    if is_motion_definition(spec.path):
+        if spec.track is not None:
+            raise ConfigError(f"{shown}: [track] is not used: the commands have an attitude")
+        return fly_commands(spec.path)
     table = read_table(spec.path, KINDS, ("velocity", "attitude"), MOST_ROWS)
     if "attitude" in table.columns:
         if spec.track is not None:
