@@ -130,6 +130,8 @@ def read_log(
     )
     if find_format(spec.imu.format).knows:  # its axes are those of the vehicle, which may fly sideways
         checks = [check for check in checks if check.name != "forward_yaw_deg"]
+    if records.assumed:
+        checks.append(Check("gnss_origin", None, records.assumed, False))
     if records.reported:  # every fix is as good as it says, unless the log asks for something else
         weighing = {label for label, choice in choices.items() if built_in.takes_option(choice.use, REPORTED)}
         for label in weighing:

@@ -77,13 +77,16 @@ def test_without_an_origin_the_place_is_assumed_and_that_is_said(tmp_path):
     text[8] = ",".join([*row[:name], "nan", *row[name + 1 :]])
     (tmp_path / "gnss.csv").write_text("\n".join(text))
     found = read_records(load_log(str(path)))
-    assert "taken as enu at an assumed origin, 45, 0 deg, 0 m: set origin" in " ".join(found.notes)
+    assert "taken as enu at an assumed origin, 45, 0 deg, 0 m: set origin" in found.assumed
     assert np.flatnonzero(~found.fixes.valid).tolist() == [7]
     own = np.stack(pymap3d.geodetic2enu(*drive_place(), *ORIGIN), axis=-1)
     lat, lon, alt = found.fixes.lla.T
     placed = np.stack(pymap3d.geodetic2enu(np.rad2deg(lat), np.rad2deg(lon), alt, 45.0, 0.0, 0.0), axis=-1)
     assert_allclose(placed[8:], own[8:], atol=2e-4)
     result = bench.navigate(path)
+    (check,) = [one for one in bench.read_log(path).checks if one.name == "gnss_origin"]
+    assert (check.text, check.good) == (found.assumed, False)
+    assert "assumed origin" in str(result.more)
     assert result.metrics["loose-15"]["converged"]
     assert result.metrics["loose-15"]["verdict"] == "consistent"
 

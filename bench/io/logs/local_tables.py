@@ -53,11 +53,14 @@ def place_rows(
             values[name] = _spread_rows(placed, good, k)
     values.pop("pos_l")
     note = f"{shown}: {', '.join(table.names['position'])} are in a local frame, taken as {axes[:3]}"
+    assumed = ""
     if not known:
         lat, lon = np.rad2deg(frame.origin[:2])
-        note += f" at an assumed origin, {lat:.7g}, {lon:.7g} deg, {frame.origin[2]:.4g} m: set origin"
-        note += "; only differences of positions count, and gravity and Earth rate are those of that place"
-    return replace(rows, values=values, notes=(*rows.notes, note)), known
+        assumed = (
+            f"{note} at an assumed origin, {lat:.7g}, {lon:.7g} deg, {frame.origin[2]:.4g} m: set origin; "
+            "only differences of positions count, and gravity and Earth rate are those of that place"
+        )
+    return replace(rows, values=values, notes=(*rows.notes, note), assumed=assumed), known
 
 
 _TURNED = {"q_nb": 4, "vel_n": 3}

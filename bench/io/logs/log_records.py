@@ -67,6 +67,7 @@ class LogRecords:
     origin: float  # t = 0 on the clock of the files, with the offset of the IMU [s]
     notes: tuple[str, ...]  # content of the files that is not used
     week_ends: bool  # times are seconds of a week that ends in the record
+    assumed: str  # place of local positions without an origin, in words; empty otherwise
     no_ranges: str  # why a receiver with ranges has no observations, in words; empty otherwise
 
 
@@ -130,6 +131,7 @@ def read_records(spec: LogSpec) -> LogRecords:
         origin=origin,
         notes=tuple(note for rows in (imu_rows, gnss_rows, *others.values()) for note in rows.notes),
         week_ends=any(rows.week_ends for rows in (imu_rows, gnss_rows, *others.values())),
+        assumed=gnss_rows.assumed,
         no_ranges=no_ranges,
     )
 

@@ -166,6 +166,7 @@ class LogRows:
     t: FloatArray  # (N,) on the clock of the file [s]
     values: Mapping[str, FloatArray]
     notes: tuple[str, ...] = ()
+    assumed: str = ""  # place of local positions without an origin, in words
     week_ends: bool = False  # its times were seconds of a week that ends in it
 
     @classmethod
