@@ -441,7 +441,9 @@ def explained(rms, hypothesis=axis_search.AS_GIVEN, vel_n=10.0):
     swing = vel_n * np.where(np.arange(19) % 2, 1.0, -1.0)[:, None] * [1.0, 0.0, 0.0]
     slices = [slice(0, 9), slice(9, 19)]
     stretches = SimpleNamespace(begin=np.array([0, 9, 19]), vel_n=swing, slices=slices)
-    return axis_search.Explained(hypothesis, stretches, SimpleNamespace(rms=np.array(rms)))
+    return axis_search.Explained(
+        hypothesis, stretches, SimpleNamespace(rms=np.array(rms), values=np.zeros(15))
+    )
 
 
 def test_the_cost_of_a_hypothesis_is_the_likelihood_of_its_residuals():
