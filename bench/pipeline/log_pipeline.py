@@ -13,7 +13,7 @@ import numpy as np
 
 from bench.core.compilation.compiled import watch_compiling
 from bench.core.files import disk_arrays
-from bench.core.mathematics.arrays import BoolArray, FloatArray
+from bench.core.mathematics.arrays import BoolArray, FloatArray, find_later
 from bench.core.mathematics.units import SAME_INSTANT
 from bench.core.records.data import Events, GnssFixes, GnssObservations, InitialState, NavSolution, SensorData
 from bench.core.records.run_records import Reference, Sensed, no_sensor_truth
@@ -299,10 +299,9 @@ class Session:
         judge_by: Reference | None = None,
     ) -> None:
         fixes, imu = recorded.fixes, recorded.imu
-        newest = np.concatenate([[-np.inf], np.maximum.accumulate(fixes.t)[:-1]])
         after_start = fixes.t > initial.t if initial.alignment == "given" else fixes.t >= initial.t
         last = float(imu.t.max())
-        good = fixes.valid & (fixes.t > newest) & after_start & (fixes.t <= last)
+        good = fixes.valid & find_later(fixes.t) & after_start & (fixes.t <= last)
         self.spec, self.recorded, self.initial, self.reference = spec, recorded, initial, judge_by
         self.fixes = fixes.take(good)
         if not len(self.fixes):

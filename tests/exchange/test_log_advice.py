@@ -32,9 +32,17 @@ def read(imu, raw):
     return [rows.values[name] @ mount.T for name in ("gyro", "accel")]
 
 
-@pytest.mark.parametrize(
-    "start", [{}, {"mounting_deg": [180.0, 0.0, 90.0]}, {"sign": "gravity", "axes": "y, x, -z"}]
-)
+STARTS = [
+    {},
+    {"mounting_deg": [180.0, 0.0, 90.0]},
+    {"sign": "gravity", "axes": "y, x, -z"},
+    {"gyro_axes": "-y, x, z"},
+    {"axes": "y, -x, z", "accel_axes": "z, x, y"},
+    {"axes": "y, x, z", "left_handed": True, "gyro_axes": "z, x, y", "accel_axes": "z, -x, y"},
+]
+
+
+@pytest.mark.parametrize("start", STARTS)
 @pytest.mark.parametrize("k", range(0, 40, 2))
 def test_keys_do_what_the_matrices_of_the_advice_do(start, k):
     """For drawn axes of both triads alike, of one, of both apart, and for reversed signs."""

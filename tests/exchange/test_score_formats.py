@@ -17,7 +17,7 @@ import bench
 from bench.cli.command_line import main
 from bench.core.mathematics import earth, rotation
 from bench.core.words.exceptions import ConfigError
-from bench.io.foreign.local_frames import fit_rotation, read_axes
+from bench.io.foreign.local_frames import fit_rotation, read_frame
 from bench.io.foreign.run_clock import RunClock
 from bench.io.foreign.solution_rows import Placing
 from bench.io.foreign.solutions import read_solution
@@ -270,7 +270,7 @@ def test_an_export_of_a_solution_scores_what_it_scored(run, tmp_path, kind, file
 def test_axes_are_those_of_their_letters(name):
     ways = {"n": (0, 1), "e": (1, 1), "d": (2, 1), "s": (0, -1), "w": (1, -1), "u": (2, -1)}
     ways |= {"f": (0, 1), "r": (1, 1), "b": (0, -1), "l": (1, -1)}
-    for C, word in zip(read_axes(name), name.split("-"), strict=True):
+    for C, word in zip(read_frame(name), name.split("-"), strict=True):
         for k, letter in enumerate(word):
             axis, sign = ways[letter]
             assert C[axis, k] == sign
@@ -280,7 +280,7 @@ def test_axes_are_those_of_their_letters(name):
 @pytest.mark.parametrize("name", ["", "enu", "neu-frd", "enu-ful", "enn-flu", "xyz-flu", "enu-flu-frd"])
 def test_axes_that_are_none_are_one_line(name):
     with pytest.raises(ConfigError, match="expected the axes x, y, z") as caught:
-        read_axes(name)
+        read_frame(name)
     assert "\n" not in str(caught.value)
 
 
@@ -354,6 +354,17 @@ def test_a_frame_with_its_origin_is_not_aligned(run, tmp_path, capsys):
 def test_a_straight_line_does_not_determine_three_angles(tmp_path):
     line = np.linspace(0.0, 1.0, 20)[:, None] * [100.0, 20.0, 3.0]
     assert fit_rotation("se3", line - line.mean(axis=0), line - line.mean(axis=0))[1] < 1e-3
+
+
+@pytest.mark.parametrize("size", [1e-4, 1.0, 1e4])
+def test_a_heading_is_determined_alike_at_any_size(size):
+    """By positions that move as far as those of the run; not by a point, or by one that stands still."""
+    here = size * np.random.default_rng(8).normal(size=(20, 3))
+    assert fit_rotation("yaw", here, here)[1] == 1.0
+    for still in (1e-5 * here, here * [0.0, 0.0, 1.0]):
+        assert fit_rotation("yaw", still, here)[1] < 1e-3
+        assert fit_rotation("yaw", here, still)[1] < 1e-3
+    assert fit_rotation("yaw", here * [0.0, 0.0, 1.0], here * [0.0, 0.0, 1.0])[1] == 0.0
 
 
 # --- damaged files --------------------------------------------------------------------------------------

@@ -13,6 +13,7 @@ import numpy as np
 
 from bench.core.mathematics import rotation
 from bench.core.mathematics.arrays import FloatArray
+from bench.core.mathematics.signed_axes import write_axes
 from bench.core.mathematics.units import STANDARD_GRAVITY
 from bench.core.words.wording import as_toml
 from bench.io.config.log_tables import is_right_handed, read_axes
@@ -81,25 +82,22 @@ def change_axes(imu: Mapping[str, Any], gyro: FloatArray, accel: FloatArray) -> 
     if np.array_equal(new[0], -new[1]):
         keys["sign"] = "specific-force" if imu.get("sign") == "gravity" else "gravity"
         new[1] = new[0]
-    if np.array_equal(new[0], new[1]):
+    own = "gyro_axes" in imu or "accel_axes" in imu  # they win over axes
+    if np.array_equal(new[0], new[1]) and not own:
         if not np.array_equal(new[0], old[0]):
-            keys["axes"] = _write(new[0])
+            keys["axes"] = write_axes(new[0])
             if not is_right_handed(read_axes(keys["axes"])) or imu.get("left_handed"):
                 keys["left_handed"] = not is_right_handed(read_axes(keys["axes"]))
         return keys
     for name, one, before in zip(("gyro_axes", "accel_axes"), new, old, strict=True):
         if not np.array_equal(one, before):
-            keys[name] = _write(one)
+            keys[name] = write_axes(one)
     return keys
 
 
 def _as_matrix(text: str) -> FloatArray:
     signed = read_axes(text)
     return np.eye(3)[[abs(one) - 1 for one in signed]] * np.sign(signed)[:, None]
-
-
-def _write(matrix: FloatArray) -> str:
-    return ", ".join(f"{'-' if row.min() < 0 else ''}{'xyz'[int(np.argmax(np.abs(row)))]}" for row in matrix)
 
 
 def _change_unit(

@@ -107,6 +107,13 @@ def take_increasing(column: FloatArray, rows: IntArray) -> FloatArray:
     return column[rows]
 
 
+def find_later(t: FloatArray) -> BoolArray:
+    """Return whether each time (N,) is after all before it."""
+    later = np.ones(len(t), np.bool_)
+    later[1:] = t[1:] > np.maximum.accumulate(t)[:-1]
+    return later
+
+
 def same_array(one: FloatArray, other: FloatArray) -> bool:
     """Return whether two arrays are equal: at once if they are one."""
     return one is other or np.array_equal(one, other)

@@ -96,6 +96,15 @@ def from_matrix(C_ab: ArrayLike) -> FloatArray:
     return positive
 
 
+def fit_vectors(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the rotation (3, 3) that turns vectors a (K, 3) into b best, and the singular values (3,).
+
+    The solution of Wahba's problem by singular value decomposition, without a reflection.
+    """
+    left, s, right = np.linalg.svd(b.T @ a)
+    return (left * [1.0, 1.0, np.linalg.det(left) * np.linalg.det(right)]) @ right, s
+
+
 def from_euler(roll: ArrayLike, pitch: ArrayLike, heading: ArrayLike) -> FloatArray:
     """Return q_nb (..., 4) of roll, pitch, heading [rad], yaw-pitch-roll (A-2.2.Q1, NED/FRD)."""
     r, p, h = (0.5 * np.asarray(angle, float) for angle in (roll, pitch, heading))

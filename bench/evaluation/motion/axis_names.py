@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bench.core.mathematics.arrays import FloatArray
-from bench.evaluation.motion.axis_search import list_axes
+from bench.core.mathematics.signed_axes import list_signed, write_axes
 
 _LEAN = np.cos(np.deg2rad(50.0))  # a vector that belongs to an axis is at least this much along it
 
@@ -35,7 +35,7 @@ def name_axes(gyro: FloatArray, accel: FloatArray, up: FloatArray, ahead: FloatA
     up, ahead : (3,) arrays
         Directions of the specific force and of the motion, in the axes so made; None if that does not show.
     """
-    turns = [one for one, _ in list_axes()[:48] if np.linalg.det(one) > 0]
+    turns = [one for one in list_signed() if np.linalg.det(one) > 0]
     for known in ((up, ahead), (up, None), (None, None)):
         fitting = [R for R in turns if _agrees(R, *known)]
         if fitting:
@@ -57,11 +57,6 @@ def _count_changes(gyro: FloatArray, accel: FloatArray) -> tuple[int, int]:
     changed = [not np.array_equal(one, given) for one in (gyro, accel)]
     triads = 1 if all(changed) and np.array_equal(gyro, accel) else sum(changed)
     return triads, int(np.abs(gyro - given).sum() + np.abs(accel - given).sum())
-
-
-def write_axes(matrix: FloatArray) -> str:
-    """Return the columns from which axes are taken, with their signs: ``-y, x, z``."""
-    return ", ".join(f"{'-' if row.min() < 0 else ''}{'xyz'[int(np.argmax(np.abs(row)))]}" for row in matrix)
 
 
 def _describe(gyro: FloatArray, accel: FloatArray) -> str:

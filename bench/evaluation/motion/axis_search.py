@@ -8,13 +8,20 @@ recording as it is only if the likelihood of the whole recording rises by far.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from itertools import permutations, product
 
 import numpy as np
 
 from bench.core.mathematics.arrays import FloatArray
+from bench.core.mathematics.signed_axes import list_signed
 from bench.evaluation.motion.clock_search import find_offsets
-from bench.evaluation.motion.motion_fit import SHIFT, MotionFit, Stretches, find_stretches, fit_motion
+from bench.evaluation.motion.motion_fit import (
+    MOTION_NOISE,
+    SHIFT,
+    MotionFit,
+    Stretches,
+    find_stretches,
+    fit_motion,
+)
 from bench.evaluation.motion.recorded_motion import RecordedMotion
 
 _STRETCHES = 6  # tried in the first round: those in which the velocity changes most
@@ -22,7 +29,6 @@ _KEPT = 4  # candidates of the first round that are fitted in full
 _EVIDENCE = 30.0  # by which the logarithm of the likelihood must rise: residuals count as independent in it
 _SHARE = 0.3  # of the change of the velocity: what is left of it must be smaller, or noise is explained
 _RISE = 0.15  # by which it must rise for each residual: they fall by this share at least
-_NOISE = 0.05  # [m/s], as in the fit
 _TURNS = (25.0, 0.5)  # rms rate in rms rates of the course beyond which the unit of the gyros is in doubt
 _RATES = (1.0, 0.01)  # the same for the rms rate itself [rad/s]
 _STEPS = (-0.6, -0.3, 0.3, 0.6)  # to either side of an offset: a gait fits near every step, too [s]
@@ -58,7 +64,7 @@ class Explained:
     def cost(self) -> float:
         """Negative logarithm of the likelihood of a residual, with an unknown noise in every segment."""
         free = 3 * np.diff(self.stretches.begin) - 6
-        return float(0.5 * free @ np.log(self.fit.rms**2 + _NOISE**2) / free.sum())
+        return float(0.5 * free @ np.log(self.fit.rms**2 + MOTION_NOISE**2) / free.sum())
 
 
 def explain(
@@ -86,13 +92,7 @@ def _find(motion: RecordedMotion, offset: float, down: float) -> Stretches:
 
 def list_axes() -> list[tuple[FloatArray, FloatArray]]:
     """Return the 96 assignments of axes that differ by more than a common rotation; the given one first."""
-    signed = []
-    for order in permutations(range(3)):
-        for signs in product((1.0, -1.0), repeat=3):
-            one = np.zeros((3, 3))
-            one[range(3), order] = signs
-            signed.append(one)
-    return [(gyro, sign * np.eye(3)) for sign in (1.0, -1.0) for gyro in signed]
+    return [(gyro, sign * np.eye(3)) for sign in (1.0, -1.0) for gyro in list_signed()]
 
 
 def list_units(motion: RecordedMotion) -> list[float]:

@@ -23,7 +23,7 @@ from scipy.special import ndtri, stdtrit
 from bench.core.compilation.compiled import kernel
 from bench.core.mathematics.arrays import FloatArray, IntArray
 from bench.core.mathematics.earth import EARTH_RATE, gravity_n, matrix_en
-from bench.core.mathematics.rotation import from_rotvec, matrix, skew
+from bench.core.mathematics.rotation import fit_vectors, from_rotvec, matrix, skew
 from bench.core.mathematics.units import STANDARD_GRAVITY
 
 NAMES = (
@@ -316,7 +316,7 @@ def _compare(
     for rows in stretches.slices:
         x, y = u[rows] + swing[rows], stretches.gained[rows]
         a, b = x - x.mean(axis=0), y - y.mean(axis=0)
-        C_is = _fit_attitude(a, b)
+        C_is = fit_vectors(a, b)[0]
         turned = a @ C_is.T
         residual = (b - turned).ravel()
         J = np.empty((len(x), 3, len(NAMES)))
@@ -348,12 +348,6 @@ def _compare(
         np.array(heading_sd),
         cost,
     )
-
-
-def _fit_attitude(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return the rotation (3, 3) that turns vectors a (K, 3) into b best, by singular values."""
-    left, _, right = np.linalg.svd(b.T @ a)
-    return np.asarray((left * [1.0, 1.0, np.linalg.det(left) * np.linalg.det(right)]) @ right)
 
 
 _CROSS = np.stack([skew(axis) for axis in np.eye(3)]).reshape(3, 9)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from bench.core.files import disk_arrays
-from bench.core.mathematics.arrays import BoolArray, FloatArray, IntArray
+from bench.core.mathematics.arrays import BoolArray, FloatArray, IntArray, find_later
 from bench.core.mathematics.earth import matrix_en, to_ecef
 from bench.core.records.data import GnssFixes, ImuData
 
@@ -135,7 +135,4 @@ class RecordedMotion:
 def find_ordered(t: FloatArray, valid: BoolArray) -> IntArray:
     """Return the valid rows with a time after the times of all valid rows before."""
     rows = np.flatnonzero(valid)
-    t = t[rows]
-    later = np.ones(len(rows), np.bool_)
-    later[1:] = t[1:] > np.maximum.accumulate(t)[:-1]
-    return rows[later]
+    return rows[find_later(t[rows])]

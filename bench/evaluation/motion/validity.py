@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.core.mathematics.arrays import BoolArray, FloatArray
+from bench.core.mathematics.arrays import BoolArray, FloatArray, find_later
 from bench.core.mathematics.earth import gravity_n
 from bench.core.records.data import GnssFixes, ImuData
 from bench.core.records.instruments import INSTRUMENTS
@@ -91,7 +91,7 @@ def check_times(name: str, t: FloatArray, valid: BoolArray) -> list[Check]:
     """Check the times of a record; messages count rows from 1."""
     steps = np.diff(t)
     usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else np.nan
-    back = np.flatnonzero(t[1:] <= np.maximum.accumulate(t)[:-1])
+    back = np.flatnonzero(~find_later(t))
     long = np.flatnonzero(steps > _GAP * usual)
     bad = np.flatnonzero(~valid)
     rate = 1.0 / usual
@@ -99,7 +99,7 @@ def check_times(name: str, t: FloatArray, valid: BoolArray) -> list[Check]:
     found = [Check(f"{name}_rate_hz", rate, text, True)]
     if len(back):
         many = f"{len(back)} of {len(t)} rows"
-        text = f"{name}: {many} repeat a time or go back and are left out, first row {back[0] + 2}"
+        text = f"{name}: {many} repeat a time or go back and are left out, first row {back[0] + 1}"
         found.append(Check(f"{name}_unordered_rows", float(len(back)), text, False))
     if len(long):
         k = int(long[np.argmax(steps[long])])

@@ -7,12 +7,12 @@ far.
 
 from __future__ import annotations
 
-from itertools import permutations, product
 from typing import NamedTuple
 
 import numpy as np
 
 from bench.core.mathematics.arrays import FloatArray
+from bench.core.mathematics.signed_axes import list_signed, write_axes
 
 UNITS = {"m/s": 1.0, "km/h": 3.6, "knots": 1.944, "ft/s": 3.281}
 """Name of a unit -> its number in one m/s."""
@@ -43,11 +43,7 @@ def find_frame(by_position: FloatArray, by_velocity: FloatArray) -> VelocityFram
     def scale(axes: FloatArray, unit: str) -> FloatArray:
         return axes / UNITS[unit]
 
-    signed = [
-        np.eye(3)[list(order)] * np.array(signs)[:, None]
-        for order in permutations(range(3))
-        for signs in product((1.0, -1.0), repeat=3)
-    ]
+    signed = list_signed()
     plain = weigh(given)
     best = min(((weigh(scale(axes, unit)), k, unit) for k, axes in enumerate(signed) for unit in UNITS))
     cost, k, unit = best
@@ -73,10 +69,7 @@ def _follows(by_position: FloatArray, by_velocity: FloatArray) -> bool:
 def _describe(axes: FloatArray, unit: str) -> str:
     words = []
     if not np.array_equal(axes, np.eye(3)):
-        taken = [
-            f"{'-' if row.min() < 0 else ''}{_NAMES[int(np.argmax(np.abs(row)))]}" for row in np.asarray(axes)
-        ]
-        words.append(f"north, east, down are {', '.join(taken)} of the file")
+        words.append(f"north, east, down are {write_axes(axes, _NAMES)} of the file")
     if unit != "m/s":
         words.append(f"the unit is {unit}")
     return f"gnss: its velocity fits its positions if {' and '.join(words)}" if words else ""

@@ -39,19 +39,19 @@ class LocalFrame:
         self, pos_l: FloatArray, q_lb: FloatArray, vel_l: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return lla (N, 3), q_nb (N, 4), vel_n (N, 3) of positions, attitudes, velocities in the frame."""
-        world, body = read_axes(self.name)
+        world, body = read_frame(self.name)
         C_ol = rotation.matrix(rotation.from_euler(0.0, 0.0, self.heading)) @ world
         q_ol, q_wb = rotation.from_matrix(C_ol), rotation.from_matrix(body.T)
         q_ob = rotation.multiply(q_ol, rotation.multiply(q_lb, q_wb))
         return from_tangent(self.origin, pos_l @ C_ol.T, q_ob, vel_l @ C_ol.T)
 
 
-def read_axes(name: str) -> tuple[FloatArray, FloatArray]:
+def read_frame(name: str) -> tuple[FloatArray, FloatArray]:
     """Return C_nl and C_bw (3, 3) of axes by name: to north, east, down, and to forward, right, down.
 
     Examples
     --------
-    >>> read_axes("enu-flu")[1].diagonal()
+    >>> read_frame("enu-flu")[1].diagonal()
     array([ 1., -1., -1.])
     """
     world, dash, body = name.lower().partition("-")
@@ -157,11 +157,10 @@ def align(kind: str, lla: FloatArray, target: FloatArray, origin: FloatArray, sh
     here, there = earth.local_ned(lla[known], origin), earth.local_ned(target[known], origin)
     C, thin = fit_rotation(kind, here - here.mean(axis=0), there - there.mean(axis=0))
     if thin < _THIN:
-        what = (
-            "a straight line, which leaves the angle about it open" if kind == SE3 else "one point from above"
-        )
-        other = "yaw" if kind == SE3 else "none, with --origin"
-        raise ConfigError(f"{shown}: its positions are {what}; align by {other}")
+        what = "its positions, or those of the run, are one point from above; align by none, with --origin"
+        if kind == SE3:
+            what = "its positions are a straight line, which leaves the angle about it open; align by yaw"
+        raise ConfigError(f"{shown}: {what}")
     shift = there.mean(axis=0) - C @ here.mean(axis=0)
     residual = float(np.sqrt(np.mean(np.sum((here @ C.T + shift - there) ** 2, axis=1))))
     return Alignment(kind, origin, C, shift, residual, int(known.sum()))
@@ -170,14 +169,13 @@ def align(kind: str, lla: FloatArray, target: FloatArray, origin: FloatArray, sh
 def fit_rotation(kind: str, here: FloatArray, there: FloatArray) -> tuple[FloatArray, float]:
     """Return C (3, 3) that turns vectors ``here`` (N, 3) to ``there``, and how well they determine it [1].
 
-    That number is the second singular value over the first one, 0 for a straight line; for the heading, the
-    horizontal part of the vectors.
+    That number is the extent across a straight line over that along it; for the heading, the smaller one of
+    both horizontal extents over the larger one, 0 for a point.
     """
-    B = there.T @ here
     if kind == YAW:
+        B = there.T @ here
         angle = math.atan2(B[1, 0] - B[0, 1], B[0, 0] + B[1, 1])
-        extent = float(np.hypot(*here[:, :2].T).max(initial=0.0))
-        return rotation.matrix(rotation.from_euler(0.0, 0.0, angle)), extent / max(extent, 1.0)
-    U, s, Vt = np.linalg.svd(B)
-    C: FloatArray = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
+        few, most = sorted(float(np.hypot(*one[:, :2].T).max(initial=0.0)) for one in (here, there))
+        return rotation.matrix(rotation.from_euler(0.0, 0.0, angle)), few / most if most > 0 else 0.0
+    C, s = rotation.fit_vectors(here, there)
     return C, math.sqrt(float(s[1]) / float(s[0])) if s[0] > 0 else 0.0

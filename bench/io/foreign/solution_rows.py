@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.core.mathematics.arrays import BoolArray, FloatArray
+from bench.core.mathematics.arrays import BoolArray, FloatArray, find_later
 from bench.core.words.exceptions import ConfigError
 from bench.evaluation.errors.resampling import ForeignSolution
-from bench.io.foreign.local_frames import LocalFrame, read_axes
+from bench.io.foreign.local_frames import LocalFrame, read_frame
 from bench.io.log_formats import find_format, guess_format
 from bench.io.logs import formats
 from bench.io.logs.formats.pose_files import GPS, PoseRows, read_poses, recognizes
@@ -37,7 +37,7 @@ class Placing:
                 f"{shown}: its positions are in a local frame without an origin; bench score aligns them"
             )
         place = np.array([np.deg2rad(lat), np.deg2rad(lon), alt]) if known else np.asarray(self.near)
-        read_axes(self.frame or frame)
+        read_frame(self.frame or frame)
         return LocalFrame(
             self.frame or frame, place, float(np.deg2rad(heading[0] if heading else 0.0))
         ), known
@@ -98,7 +98,7 @@ def make_solution(found: PoseRows, shown: str, placing: Placing) -> ForeignSolut
         vel = None
     elif vel is not None:
         good &= moving
-    good[good] = _find_later(found.rows.t[good])
+    good[good] = find_later(found.rows.t[good])
     if not good.any():
         raise ConfigError(f"{shown}: none of its {n} rows has a time and a position that are possible")
     if not good.all():
@@ -128,13 +128,6 @@ def make_solution(found: PoseRows, shown: str, placing: Placing) -> ForeignSolut
         clock=found.clock,
         placed=known,
     )
-
-
-def _find_later(t: FloatArray) -> BoolArray:
-    """Return which times (N,) are after all before them."""
-    later = np.ones(len(t), np.bool_)
-    later[1:] = t[1:] > np.maximum.accumulate(t)[:-1]
-    return later
 
 
 def _make_covariance(values: Mapping[str, FloatArray], good: BoolArray, moves: bool) -> FloatArray | None:

@@ -16,7 +16,8 @@ from typing import NamedTuple
 
 HEAD = 4096
 """Bytes of a file that are looked at."""
-_SBET = 17  # doubles of a row
+SBET_COLUMNS = 17
+"""Doubles of a row of an SBET."""
 _TO_RINEX = "convert it to RINEX, for example by convbin of RTKLIB, then: bench fixes OBS NAV"
 _UNPACK = "unpack it first"
 
@@ -51,12 +52,12 @@ def _is_rtcm(head: bytes) -> bool:
 
 def _is_sbet(head: bytes) -> bool:
     """Return whether two rows are plausible: time of week [s], latitude, longitude [rad], height [m]."""
-    if len(head) < 16 * _SBET:
+    if len(head) < 16 * SBET_COLUMNS:
         return False
-    rows = struct.unpack(f"<{2 * _SBET}d", head[: 16 * _SBET])
+    rows = struct.unpack(f"<{2 * SBET_COLUMNS}d", head[: 16 * SBET_COLUMNS])
     if not all(math.isfinite(one) for one in rows):
         return False
-    (t, lat, lon, alt), (later, *_) = rows[:4], rows[_SBET : _SBET + 4]
+    (t, lat, lon, alt), (later, *_) = rows[:4], rows[SBET_COLUMNS : SBET_COLUMNS + 4]
     is_place = abs(lat) <= math.pi / 2 and abs(lon) <= math.pi and abs(alt) < 1e5
     return bool(0.0 <= t < 604800.0 and 1e-4 < later - t < 10.0 and is_place)
 

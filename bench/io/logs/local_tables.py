@@ -8,7 +8,7 @@ import numpy as np
 
 from bench.core.mathematics.arrays import BoolArray, FloatArray
 from bench.core.words.exceptions import ConfigError
-from bench.io.foreign.local_frames import LocalFrame, read_axes
+from bench.io.foreign.local_frames import LocalFrame, read_frame
 from bench.io.foreign.solution_rows import Placing
 from bench.io.logs.rows import LOCAL_AXES, LogRows
 from bench.io.logs.table_files import TableColumns
@@ -42,7 +42,7 @@ def place_rows(
         return rows, None
     axes = f"{named}-frd" if named else placing.frame or _FRAME
     frame, known = placing.find_frame(axes, (), shown)
-    world = read_axes(axes)[0]
+    world = read_frame(axes)[0]
     values, pos = dict(rows.values), rows.values["pos_l"]
     good = np.asarray((np.abs(pos) < _FAR).all(axis=1))
     n = int(good.sum())

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.core.files import disk_arrays
-from bench.core.mathematics.arrays import BoolArray, FloatArray, IntArray
+from bench.core.mathematics.arrays import BoolArray, FloatArray, IntArray, find_later
 from bench.core.mathematics.rotation import from_euler, multiply, rotate
 from bench.core.mathematics.units import SAME_INSTANT
 from bench.core.records.data import GnssFixes, GnssObservations, ImuData
@@ -383,7 +383,7 @@ def divide_intervals(imu: ImuData, cuts: FloatArray) -> ImuData:
     cuts : (M,) array
         Epochs [s]; those outside all intervals have no effect.
     """
-    parents = _find_ordered(imu)
+    parents = np.flatnonzero(find_later(imu.t) & imu.valid)
     cuts = np.unique(cuts)
     at = np.searchsorted(imu.t[parents], cuts)
     inside = at < len(parents)
@@ -403,14 +403,6 @@ def divide_intervals(imu: ImuData, cuts: FloatArray) -> ImuData:
             divided[name][filled : filled + len(rows)] = rows
         filled += len(part["t"])
     return ImuData(**divided)
-
-
-def _find_ordered(imu: ImuData) -> IntArray:
-    """Return the valid rows with a time later than the times of all rows before."""
-    newest = np.maximum.accumulate(imu.t)
-    later = np.ones(len(imu), np.bool_)
-    later[1:] = imu.t[1:] > newest[:-1]
-    return np.flatnonzero(later & imu.valid)
 
 
 def _divide_block(imu: ImuData, block: slice, cuts: FloatArray, at: IntArray) -> dict[str, NDArray[Any]]:

@@ -14,7 +14,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from bench.core.mathematics.arrays import BoolArray, FloatArray
+from bench.core.mathematics.arrays import BoolArray, FloatArray, find_later
 from bench.core.records.data import EventRow, Events, InitialState, Innovations, NavSolution, SensorData
 from bench.core.records.specs import AUTOPILOT
 from bench.core.words.exceptions import ConfigError, EstimatorError
@@ -165,9 +165,7 @@ def _sample(
 ) -> NavSolution:
     """Return a part of the motion at other times, without extrapolation."""
     given = np.hstack([x for x in (lla, vel_n, q_nb) if x is not None])
-    later = np.ones(len(t), np.bool_)
-    later[1:] = t[1:] > np.maximum.accumulate(t)[:-1]
-    rows = np.flatnonzero(np.isfinite(given).all(axis=1) & later)
+    rows = np.flatnonzero(np.isfinite(given).all(axis=1) & find_later(t))
     unknown = np.full((max(len(rows), 1), 4), np.nan)
 
     def pick(x: FloatArray | None, width: int) -> FloatArray:

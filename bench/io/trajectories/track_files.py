@@ -20,7 +20,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from bench.core.files.file_checks import check_file
-from bench.core.mathematics.arrays import FloatArray
+from bench.core.mathematics.arrays import FloatArray, find_later
 from bench.core.words.exceptions import ConfigError, FlightError
 from bench.core.words.wording import format_count
 from bench.simulation.flight.model_files import read_xml
@@ -82,9 +82,7 @@ def order_fixes(t: FloatArray, lla: FloatArray, notes: list[str], shown: str) ->
     inside = whole & (np.abs(lla[:, 0]) <= 0.5 * np.pi) & (np.abs(lla[:, 1]) <= 2 * np.pi)
     inside &= (lla[:, 2] > -1e3) & (lla[:, 2] < 1e5)
     t, lla, left = t[inside], lla[inside], len(t) - int(inside.sum())
-    later = np.ones(len(t), dtype=bool)
-    if len(t):
-        later[1:] = t[1:] > np.maximum.accumulate(t)[:-1]
+    later = find_later(t)
     if left:
         notes.append(f"left out: {format_count(left, 'fix')} without a time, a position or a height")
     if not later.all():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from bench.core.mathematics.arrays import FloatArray
+from bench.core.mathematics.arrays import FloatArray, find_later
 from bench.core.words.exceptions import ConfigError
 from bench.io.logs.rows import LogRows
 
@@ -65,6 +65,5 @@ def _order(t: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the complete rows whose time is after the times of all rows before."""
     whole = np.isfinite(t) & np.isfinite(values).all(axis=1)
     t, values = t[whole], values[whole]
-    later = np.ones(len(t), np.bool_)
-    later[1:] = t[1:] > np.maximum.accumulate(t)[:-1]
+    later = find_later(t)
     return t[later], values[later]

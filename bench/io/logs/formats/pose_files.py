@@ -19,7 +19,7 @@ from bench.core.files.file_checks import check_file
 from bench.core.mathematics import earth, rotation
 from bench.core.mathematics.arrays import FloatArray
 from bench.core.words.exceptions import ConfigError
-from bench.io.logs.file_kinds import HEAD, SBET, is_kind
+from bench.io.logs.file_kinds import HEAD, SBET, SBET_COLUMNS, is_kind
 from bench.io.logs.formats.text import parse_row, read_lines, read_number_rows
 from bench.io.logs.rows import MOST_ROWS, LogRows
 from bench.io.logs.table_files import MOST_BYTES
@@ -33,7 +33,6 @@ _FRAMES = {_TUM: "enu-flu", _EUROC: "enu-frd", _KITTI: "rdf-rdf"}
 _TIMES = "timestamps.txt"
 _LOOK = 5  # rows by which a text is recognized
 _NORM_OFF = 1e-2  # of a unit quaternion or the rows of a rotation matrix [1]
-_SBET_COLUMNS = 17
 _MATCH = (0.5, 0.05)  # velocity against the change of position: [m/s] plus a part of the speed [1]
 
 
@@ -237,10 +236,10 @@ def _parse_time(line: str, path: Path, row: int) -> float:
 def _read_sbet(path: Path) -> PoseRows:
     """Return the rows of an SBET; times are in seconds of the GPS week."""
     size = path.stat().st_size
-    count, rest = divmod(size, 8 * _SBET_COLUMNS)
+    count, rest = divmod(size, 8 * SBET_COLUMNS)
     if count > MOST_ROWS:
         raise ConfigError(f"{path.name}: more than {MOST_ROWS} rows")
-    rows = np.fromfile(path, "<f8", count * _SBET_COLUMNS).astype(float).reshape(-1, _SBET_COLUMNS)
+    rows = np.fromfile(path, "<f8", count * SBET_COLUMNS).astype(float).reshape(-1, SBET_COLUMNS)
     notes = [f"{path.name}: ends within a row, which is left out"] if rest else []
     with np.errstate(all="ignore"):  # damaged numbers are left out later
         good = np.isfinite(rows[:, :11]).all(axis=1) & (np.abs(rows[:, 1]) <= 0.5 * np.pi)
