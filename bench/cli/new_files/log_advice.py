@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import secrets
+import stat
 import tomllib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +13,8 @@ from rich.console import Console
 
 from bench.cli.new_files.log_changes import list_changes, write_changes
 from bench.core.files import durable
-from bench.core.words.exceptions import ConfigError
+from bench.core.words.exceptions import BenchError, ConfigError
+from bench.core.words.wording import format_value
 from bench.pipeline import log_pipeline
 
 _ROUNDS = 3  # a second mistake may show only after the first is gone
@@ -24,33 +28,62 @@ def apply_advice(name: str, console: Console, **log_options: Any) -> log_pipelin
     ConfigError
         If the log cannot be read, or has no line of its own for a table that is to be changed.
     """
+
+    def say(line: str) -> None:
+        console.print(line, soft_wrap=True, markup=False)
+
     path = Path(name)
     log = log_pipeline.read_log(name, **log_options)
     for _ in range(_ROUNDS):
-        advice = [check.advice for check in log.checks if not check.good and check.advice]
-        text = path.read_text(encoding="utf-8")
-        changed = list_changes(tomllib.loads(text), advice)
+        advised = [check for check in log.checks if not check.good and check.advice]
+        text = _read(path)
+        changed = list_changes(tomllib.loads(text), [check.advice for check in advised], path.parent)
         if not changed:
             break
         try:
             after = write_changes(text, changed)
         except ValueError as error:
             raise ConfigError(f"{name}: {error}: change the keys by hand, or remove --apply") from None
-        trial = path.with_name(f"{path.stem}.applied.toml")
         try:
-            durable.write(trial, after)
-            new = log_pipeline.read_log(str(trial), **log_options)
-            before, still = _list_wrong(log), _list_wrong(new)
-            if len(still) >= len(before) and still & {one.name for one in log.checks if one.advice}:
-                console.print(f"{name} is not changed: with the advice applied as many checks fail.")
-                break
-            durable.write(path, after)
-        finally:
-            trial.unlink(missing_ok=True)
+            still = _try(path, after, log_options)
+        except BenchError as error:
+            say(f"{name} is not changed: with the advice applied: {error.messages[0]}")
+            break
+        if len(still) >= len(_list_wrong(log)) and not still.isdisjoint(one.name for one in advised):
+            say(f"{name} is not changed: with the advice these checks fail: {', '.join(sorted(still))}")
+            break
+        _replace(path, text, after)
         log = log_pipeline.read_log(name, **log_options)
         for (table, key), value in changed.items():
-            console.print(f"{name}: [{table}] {key} = {value}", soft_wrap=True, markup=False)
+            say(f"{name}: [{table}] {key} = {format_value(value)}")
     return log
+
+
+def _try(path: Path, text: str, log_options: Mapping[str, Any]) -> set[str]:
+    """Return the names of the checks that fail with another text of a log, in a file beside it for a time."""
+    trial = path.with_name(f"{path.stem}.{secrets.token_hex(8)}.toml")
+    try:
+        durable.write(trial, text)
+        return _list_wrong(log_pipeline.read_log(str(trial), **log_options))
+    finally:
+        trial.unlink(missing_ok=True)
+
+
+def _replace(path: Path, before: str, after: str) -> None:
+    """Write another text of a log, unless its owner protects it or has changed it in the meantime."""
+    path = path.resolve()  # a link stays a link
+    mode = path.stat().st_mode
+    if not mode & stat.S_IWUSR:
+        raise ConfigError(f"{path.name}: is read-only, so that --apply cannot change it")
+    if _read(path) != before:
+        raise ConfigError(f"{path.name}: has been changed meanwhile; navigate it again")
+    durable.write(path, after)
+    path.chmod(mode)
+
+
+def _read(path: Path) -> str:
+    """Return the text of a log with the line ends that it has."""
+    return path.read_bytes().decode("utf-8")
 
 
 def _list_wrong(log: log_pipeline.RecordedLog) -> set[str]:

@@ -6,7 +6,9 @@ import math
 import re
 import tomllib
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from itertools import permutations
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,17 +17,22 @@ from bench.core.mathematics import rotation
 from bench.core.mathematics.arrays import FloatArray
 from bench.core.mathematics.signed_axes import write_axes
 from bench.core.mathematics.units import STANDARD_GRAVITY
-from bench.core.words.wording import as_toml
+from bench.core.words.exceptions import ConfigError
+from bench.core.words.wording import format_value
 from bench.io.config.log_tables import is_right_handed, read_axes
+from bench.io.log_formats import TABLES
+from bench.io.logs.table_files import list_columns
 
 _NEAR = 0.15  # relative difference within which a gain is that of another unit
 _RATES = {"rad_s": math.pi / 180.0, "deg_s": 180.0 / math.pi}  # unit of a file -> gain if read in the other
 _FORCES = {"g": 1.0 / STANDARD_GRAVITY, "m_s2": STANDARD_GRAVITY}
 _DIGITS = 3
+_SAID = "by the motion"
+_BY = f"  # {_SAID}"
 
 
 def list_changes(
-    document: Mapping[str, Any], advice: Sequence[Mapping[str, Any]]
+    document: Mapping[str, Any], advice: Sequence[Mapping[str, Any]], beside: Path
 ) -> dict[tuple[str, str], Any]:
     """Return the keys of a log that advice changes, by table and key, and their new values.
 
@@ -35,15 +42,19 @@ def list_changes(
         The log as its file says.
     advice : sequence of mappings
         The ``advice`` of each check: an offset is added, axes are matrices on what is recorded, a gain is
-        measured by true.
+        measured by true, a velocity a matrix to n in m/s.
+    beside : Path
+        Folder of the log.
     """
-    imu, gnss = document.get("imu", {}), document.get("gnss", {})
+    top = {key: document[key] for key in ("file", "format") if key in document}
+    own = {name: document.get(name) for name in ("imu", "gnss")}
+    imu, gnss = (top | one if isinstance(one, dict) else top for one in own.values())
     changed: dict[tuple[str, str], Any] = {}
     for key, value in (pair for one in advice for pair in one.items()):
-        if key == "imu.time_offset_s":
-            changed["imu", "time_offset_s"] = round(imu.get("time_offset_s", 0.0) + value, _DIGITS)
-        elif key == "gnss.velocity_offset_s":
-            changed["gnss", "velocity_offset_s"] = round(gnss.get("velocity_offset_s", 0.0) + value, _DIGITS)
+        if key in ("imu.time_offset_s", "gnss.velocity_offset_s"):
+            table, _, name = key.partition(".")
+            before = (imu if table == "imu" else gnss).get(name, 0.0)
+            changed[table, name] = round(float(before + value), _DIGITS)
         elif key == "gnss.velocity_sd_mps":
             changed["gnss", "velocity_sd_mps"] = value
         elif key == "gnss.position_m":
@@ -51,14 +62,37 @@ def list_changes(
             changed["gnss", "position_m"] = [round(float(one), 2) for one in at]
         elif key == "imu.axes":
             changed |= {("imu", name): given for name, given in change_axes(imu, *value).items()}
+        elif key == "gnss.velocity":
+            names = _list_names(gnss, "columns", beside)
+            changed |= _rename(gnss, "gnss", "columns", names, _name_velocity(names, value))
         elif key in ("imu.gyro_gain", "imu.accel_gain"):
             gyro = key == "imu.gyro_gain"
-            columns = _change_unit(
-                imu.get("columns", {}), "gyro" if gyro else "accel", _RATES if gyro else _FORCES, value
-            )
-            if columns:
-                changed["imu", "columns"] = columns
+            columns = "gyro_columns" if gyro and "gyro_file" in imu else "columns"
+            new = _name_unit("gyro", _RATES, value) if gyro else _name_unit("accel", _FORCES, value)
+            changed |= _rename(imu, "imu", columns, _list_names(imu, columns, beside), new)
     return changed
+
+
+def _list_names(row: Mapping[str, Any], columns: str, beside: Path) -> dict[str, str]:
+    """Return the columns of a table by the names of bench, those that the log does not map included."""
+    file = str(row.get("gyro_file" if columns == "gyro_columns" else "file", ""))
+    given = dict(row.get(columns, {}))
+    if row.get("format", "table" if Path(file).suffix.lower() in TABLES else "") != "table":
+        return {}
+    with suppress(ConfigError, OSError):
+        return {one: one for one in list_columns(beside / file) if one not in given.values()} | given
+    return given
+
+
+def _rename(
+    row: dict[str, Any], table: str, key: str, known: Mapping[str, str], new: Mapping[str, str]
+) -> dict[tuple[str, str], Any]:
+    """Return the change of columns that get new names, on which the next change builds; {} if none."""
+    if not new or not set(new) <= set(known) or set(new.values()) & (set(known) - set(new)):
+        return {}
+    given = {new.get(one, one): there for one, there in row.get(key, {}).items()}
+    row[key] = given | {one: known[old] for old, one in new.items()}
+    return {(table, key): row[key]}
 
 
 def change_axes(imu: Mapping[str, Any], gyro: FloatArray, accel: FloatArray) -> dict[str, Any]:
@@ -100,45 +134,68 @@ def _as_matrix(text: str) -> FloatArray:
     return np.eye(3)[[abs(one) - 1 for one in signed]] * np.sign(signed)[:, None]
 
 
-def _change_unit(
-    columns: Mapping[str, str], sensor: str, units: Mapping[str, float], gain: float
-) -> dict[str, str]:
-    """Return the columns of a log with the unit of a sensor that its gain shows; {} if it shows none."""
-    names = [f"{sensor}_{axis}" for axis in "xyz"]
+def _name_unit(sensor: str, units: Mapping[str, float], gain: float) -> dict[str, str]:
+    """Return the names of columns in the unit of a sensor that its gain shows; {} if it shows none."""
     for unit, other in permutations(units):
-        ours = {f"{name}_{unit}": f"{name}_{other}" for name in names}
-        if abs(gain / units[other] - 1.0) < _NEAR and (not columns or set(ours) <= set(columns)):
-            return {ours.get(name, name): there for name, there in columns.items()} or {
-                new: old for old, new in ours.items()
-            }
+        if abs(gain / units[other] - 1.0) < _NEAR:
+            return {f"{sensor}_{axis}_{unit}": f"{sensor}_{axis}_{other}" for axis in "xyz"}
     return {}
+
+
+def _name_velocity(known: Mapping[str, str], matrix: FloatArray) -> dict[str, str]:
+    """Return the names of columns of which a matrix makes velocities in n [m/s]; {} if no names say so."""
+    ends = [(down, unit) for down in "du" for unit in ("mps", "m_s") if f"vel_{down}_{unit}" in known]
+    factor = float(np.abs(matrix).max())
+    if not ends or min(abs(factor - 1.0), abs(3.6 * factor - 1.0)) > 1e-6:
+        return {}
+    down, unit = ends[0]
+    signed = np.sign(matrix) * [1.0, 1.0, 1.0 if down == "d" else -1.0]
+    if signed[:2].min() < 0.0:
+        return {}
+    axes = ("n", "e", "u" if signed[2].min() < 0.0 else "d")
+    taken = [("n", "e", down)[int(k)] for k in np.argmax(np.abs(signed), axis=1)]
+    new = unit if factor > 0.5 else "km_h"
+    return {f"vel_{old}_{unit}": f"vel_{axis}_{new}" for axis, old in zip(axes, taken, strict=True)}
 
 
 def write_changes(text: str, changed: Mapping[tuple[str, str], Any]) -> str:
     """Return the text of a log with keys changed: in their lines, or below the head of their table.
 
+    Comments and line ends stay as they are.
+
     Raises
     ------
     ValueError
-        If the text has no such table, or a key whose value is on several lines.
+        If the text has no such table, or a key is not in a line of its own.
     """
+    wanted: dict[str, Any] = tomllib.loads(text)
+    after = text
     for (table, key), value in changed.items():
-        head = re.search(rf"^\[{table}\][ \t]*(#.*)?$", text, re.MULTILINE)
+        head = re.search(rf"^[ \t]*\[[ \t]*{table}[ \t]*\][ \t]*(#.*)?\r?$", after, re.MULTILINE)
         if head is None:
             raise ValueError(f"no line [{table}]")
-        end = re.search(r"^\[", text[head.end() :], re.MULTILINE)
-        stop = head.end() + end.start() if end else len(text)
-        line, body = f"{key} = {_as_line(value)}  # by the motion", text[head.end() : stop]
-        if old := re.search(rf"^{key}[ \t]*=.*$", body, re.MULTILINE):
-            body = body[: old.start()] + line + body[old.end() :]
+        end = re.search(r"^[ \t]*\[", after[head.end() :], re.MULTILINE)
+        stop = head.end() + end.start() if end else len(after)
+        line, body = f"{key} = {format_value(value)}", after[head.end() : stop]
+        if old := re.search(rf"^([ \t]*){key}[ \t]*=(.*?)(\r?)$", body, re.MULTILINE):
+            body = f"{body[: old.start()]}{old[1]}{line}{_find_comment(old[2])}{old[3]}{body[old.end() :]}"
         else:
-            body = f"\n{line}{body}"
-        text = text[: head.end()] + body + text[stop:]
-    tomllib.loads(text)
-    return text
+            end_of_line = "\r" if head[0].endswith("\r") else ""
+            body = f"\n{line}{_BY}{end_of_line}{body}"
+        after = after[: head.end()] + body + after[stop:]
+        wanted[table] = {**wanted[table], key: value}
+    try:
+        if tomllib.loads(after) == wanted:
+            return after
+    except tomllib.TOMLDecodeError:
+        pass
+    raise ValueError(f"{', '.join(f'[{table}] {key}' for table, key in changed)} not in a line of its own")
 
 
-def _as_line(value: Any) -> str:
-    if isinstance(value, Mapping):
-        return "{ " + ", ".join(f'"{key}" = "{one}"' for key, one in value.items()) + " }"
-    return f'"{value}"' if isinstance(value, str) else as_toml(value)
+def _find_comment(rest: str) -> str:
+    """Return the comment behind the new value of a line whose end, after the equals sign, is given."""
+    for at in (one.start() for one in re.finditer("#", rest)):
+        with suppress(tomllib.TOMLDecodeError):
+            tomllib.loads(f"value = {rest[:at]}")
+            return f"  {rest[at:]}" if rest.endswith(_SAID) else f"  {rest[at:].rstrip()}; {_SAID}"
+    return _BY

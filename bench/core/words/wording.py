@@ -164,6 +164,18 @@ def quote_toml(text: str) -> str:
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
+def format_value(value: object) -> str:
+    """Return a value of TOML as text in one line, with all its digits."""
+    if isinstance(value, Mapping):
+        inner = (f"{quote_toml(key)} = {format_value(one)}" for key, one in value.items())
+        return f"{{{', '.join(inner)}}}"
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(format_value, value))}]"
+    if isinstance(value, bool):
+        return str(value).lower()
+    return quote_toml(value) if isinstance(value, str) else str(value)
+
+
 def as_toml(value: object) -> str:
     """Return a value as it would be written in a TOML file, shortened to 60 characters."""
     if isinstance(value, bool):

@@ -32,7 +32,9 @@ class Check:
     value: float | None  # None if it could not be measured
     text: str
     good: bool
-    advice: Mapping[str, Any] = field(default_factory=dict)  # key of the log: what to add or to multiply by
+    advice: Mapping[str, Any] = field(default_factory=dict)
+    """Key of the log: what to add to it, or the matrix or gain by which what is recorded is off; the velocity
+    of the receiver, which has no key, is ``gnss.velocity``."""
 
 
 @dataclass(frozen=True, slots=True)

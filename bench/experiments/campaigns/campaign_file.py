@@ -12,7 +12,6 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from bench.core.words.exceptions import ConfigError
-from bench.core.words.wording import quote_toml
 from bench.io.config.checks import is_code
 from bench.io.config.tables import ROWS, Table, check_table
 from bench.io.config.toml_file import read_toml
@@ -130,15 +129,3 @@ def flatten(table: Values, above: str = "") -> dict[str, Any]:
         else:
             found[above + key] = value
     return found
-
-
-def format_value(value: Any) -> str:
-    """Return a value of TOML as text in one line, with all its digits."""
-    if isinstance(value, Mapping):
-        inner = (f"{quote_toml(key)} = {format_value(one)}" for key, one in value.items())
-        return f"{{{', '.join(inner)}}}"
-    if isinstance(value, list | tuple):
-        return f"[{', '.join(map(format_value, value))}]"
-    if isinstance(value, bool):
-        return str(value).lower()
-    return quote_toml(value) if isinstance(value, str) else str(value)

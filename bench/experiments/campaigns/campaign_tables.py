@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from bench.core.mathematics.units import unit_of
+from bench.core.words.wording import format_value
 from bench.evaluation.consistency.chi_square import mean_band
 from bench.evaluation.ensembles.ensemble import CONFIDENCE
 from bench.evaluation.metrics.run_metrics import find_metric
-from bench.experiments.campaigns.campaign_file import format_value
 from bench.experiments.campaigns.groups import PERCENTILES, Done, Group
 from bench.experiments.campaigns.plan import Condition, Plan
 from bench.experiments.campaigns.worker import CHANNELS

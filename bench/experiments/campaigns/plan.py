@@ -21,10 +21,10 @@ from bench.core.files.places import PACKAGE
 from bench.core.records.flight_specs import FlightSpec
 from bench.core.records.specs import DEFAULT_GUARD, EstimatorChoice, Guard, Profile
 from bench.core.words.exceptions import ConfigError
+from bench.core.words.wording import format_value
 from bench.experiments.campaigns.campaign_file import (
     CampaignSpec,
     Values,
-    format_value,
     is_campaign_file,
     read_campaign_file,
 )

@@ -16,10 +16,10 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 from bench.core.records.findings import Findings, join_findings
 from bench.core.words.exceptions import ConfigError, WorkersLostError
 from bench.core.words.stages import Stage
-from bench.core.words.wording import as_toml, describe_error, format_number, suggest
+from bench.core.words.wording import as_toml, describe_error, format_number, format_value, suggest
 from bench.evaluation.ensembles.ensemble import Estimate
 from bench.experiments.campaigns.batches import Lost, compute
-from bench.experiments.campaigns.campaign_file import CampaignSpec, format_value
+from bench.experiments.campaigns.campaign_file import CampaignSpec
 from bench.experiments.campaigns.outcome import Campaign
 from bench.experiments.campaigns.plan import plan_campaign
 from bench.experiments.campaigns.pools import ExecutorPool, ProcessPool, open_pool
