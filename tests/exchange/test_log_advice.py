@@ -157,7 +157,7 @@ def test_velocities_of_other_axes_or_units_get_other_names(tmp_path, header, mat
 ODD = {
     "comment": (
         "[imu]\ntime_offset_s = 0.5  # a # b\n",
-        "time_offset_s = 0.1  # a # guess; by the motion\n",
+        "time_offset_s = 0.1  # a # b; by the motion\n",
     ),
     "crlf": ("[imu]\r\nfile = 'ü.csv'\r\n", "[imu]\r\ntime_offset_s = 0.1  # by the motion\r\nfile"),
     "crlf and comment": ("[imu] # it\r\ntime_offset_s=5 # old\r\n", "= 0.1  # old; by the motion\r\n"),

@@ -1,5 +1,7 @@
 """A clock that goes back: seconds of a week go on at its end; rows that other clocks lose are counted."""
 
+from datetime import datetime
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -9,7 +11,7 @@ from bench.core.words.exceptions import ConfigError
 from bench.evaluation.motion.validity import check_recording
 from bench.io.config.log import load_log
 from bench.io.logs.log_records import read_records
-from bench.io.logs.record_clock import find_week, unwrap_week
+from bench.io.logs.record_clock import find_week, meet_week, unwrap_week
 from bench.io.logs.rows import LogRows
 from bench.pipeline import log_pipeline
 from tests.exchange import drives
@@ -129,3 +131,13 @@ def test_a_record_of_which_most_is_lost_is_refused(drive, capsys):
         in said
     )
     assert "give each part of the file a log of its own" in said
+
+
+@pytest.mark.parametrize(("year", "ahead"), [(1995, 10), (2011, 15), (2026, 18)])
+def test_fixes_in_gps_time_meet_an_imu_that_counts_from_1970(year, ahead):
+    gps = (datetime(year, 3, 1) - datetime(1980, 1, 6)).total_seconds()
+    unix = (datetime(year, 3, 1) - datetime(1970, 1, 1)).total_seconds()
+    rows = LogRows(np.array([gps + 2.0, gps + 90.0]) + ahead, {})
+    assert_allclose(meet_week(rows, unix, unix + 100.0).t, [unix + 2.0, unix + 90.0])
+    assert meet_week(rows, unix + 1e6, unix + 1e6 + 100.0) is rows
+    assert meet_week(rows, gps, gps + 200.0) is rows

@@ -16,8 +16,9 @@ from bench.core.records.data import GnssFixes
 from bench.core.records.run_records import Reference
 from bench.core.words.exceptions import ConfigError
 from bench.evaluation.errors.error_series import select_epochs
+from bench.io.config.log import ReferenceSpec, SourceSpec, load_log
 from bench.io.logs.log_start import find_start
-from bench.io.logs.reference import check_reference, make_covariance
+from bench.io.logs.reference import check_reference, make_covariance, read_reference
 from bench.pipeline.log_pipeline import Session
 from tests.builders import assert_same_solution
 from tests.evaluation.solutions import wrong_solution
@@ -170,6 +171,70 @@ def test_poses_in_a_local_frame_are_a_reference_once_they_are_aligned(tmp_path, 
     assert "degrees of freedom are taken away" in str(result.more)
     with pytest.raises(ConfigError, match="local frame"):
         bench.navigate(drives.write_log(tmp_path, drives.LOG + text.replace(kind, "none")))
+
+
+def local_reference(folder, first, **how):
+    """Read a straight line of TUM, from ``first`` on its clock on, for a log that begins at 5000 s."""
+    t = np.arange(20.0)
+    line = np.column_stack([first + t, 10.0 * t, t**2, 0.0 * t, *[0.0 * t] * 3, 0.0 * t + 1.0])
+    np.savetxt(folder / "poses.tum", line, fmt="%.9f")
+    source = SourceSpec(folder / "poses.tum", "poses", time_offset=2.0, origin=how.pop("origin", None))
+    n = how.pop("fixes", 20)
+    lla = np.tile([0.8, 0.2, 500.0], (n, 1)) + np.column_stack([1e-6 * t[:n], 1e-6 * t[:n] ** 2, t[:n]])
+    sd = np.tile(np.eye(3), (n, 1, 1))
+    valid, count = np.ones(n, np.bool_), np.zeros(n, np.int64)
+    fixes = GnssFixes(t[:n], t[:n], valid, lla, np.zeros((n, 3)), sd, sd, count)
+    spec = ReferenceSpec(source, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (), **how)
+    return read_reference(spec, 5000.0, 30.0, fixes, np.zeros(3))
+
+
+def test_a_reference_in_a_local_frame_tells_its_clock(tmp_path):
+    reference, checks = local_reference(tmp_path, 5001.0)
+    assert_allclose(reference.track.t[0], 3.0)
+    assert [one.name for one in checks] == ["reference_clock_s", "reference_alignment_m"]
+    assert checks[0].text == "reference: its clock is the IMU; t = 0 of the run is 5000 s"
+    reference, checks = local_reference(tmp_path, 0.0)
+    assert_allclose(reference.track.t[0], 2.0)
+    assert [one.name for one in checks] == ["reference_alignment_m"]
+
+
+def test_the_times_of_a_reference_beside_the_log_are_those_of_its_file(tmp_path):
+    with pytest.raises(
+        ConfigError, match=r"its times, 7002 to 7021 s, do not overlap with the IMU, 5000 to 5030 s"
+    ):
+        local_reference(tmp_path, 7000.0)
+
+
+def test_no_fix_aligns_no_reference(tmp_path):
+    with pytest.raises(ConfigError, match="0 epochs in common with the run; an alignment needs 3"):
+        local_reference(tmp_path, 0.0, fixes=0, origin=(47.0, 11.0, 500.0), align="yaw")
+
+
+@pytest.mark.parametrize("how", [{"frame": "ned-frd"}, {"origin": (47.0, 11.0, 5.0)}, {"align": "se3"}])
+def test_keys_for_a_local_frame_are_rejected_for_a_table(tmp_path, how):
+    drives.write_csv(tmp_path / "other.csv", motion())
+    align = how.pop("align", None)
+    source = SourceSpec(tmp_path / "other.csv", **how)
+    spec = ReferenceSpec(source, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (), align)
+    fixes = GnssFixes(*[np.zeros(0)] * 2, np.zeros(0, np.bool_), *[np.zeros((0, 3))] * 2,
+                      *[np.zeros((0, 3, 3))] * 2, np.zeros(0, np.int64))  # fmt: skip
+    with pytest.raises(ConfigError, match=r"^other\.csv: .* local"):
+        read_reference(spec, 0.0, 150.0, fixes, np.zeros(3))
+
+
+@pytest.mark.parametrize(
+    ("value", "good"),
+    [("[47, 11, 5]", True), ("[47, 11, 5, 30]", True), ("[91, 11, 5]", False), ("[47, 11]", False)],
+)
+def test_an_origin_has_limits(tmp_path, value, good):
+    text = f"{drives.LOG}\n[reference]\nfile = 'other.csv'\norigin = {value}\n"
+    drives.write_csv(tmp_path / "other.csv", motion())
+    path = drives.write_log(tmp_path, text)
+    if good:
+        assert load_log(str(path)).reference.source.origin[:2] == (47.0, 11.0)
+        return
+    with pytest.raises(ConfigError, match=r"\[reference\] origin.*must be latitude, longitude"):
+        load_log(str(path))
 
 
 def test_an_sbet_is_a_reference(tmp_path):

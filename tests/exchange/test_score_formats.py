@@ -236,6 +236,35 @@ def test_the_clocks_of_a_log():
     assert RunClock.of_log(0.0, 100.0, GPS).find_start(t + UNIX, "")[0] == UNIX
 
 
+@pytest.mark.parametrize(("year", "ahead"), [(1996, 11.0), (2011, 15.0), (2014, 16.0)])
+def test_a_log_before_2017_may_count_from_1970_or_from_1980(year, ahead):
+    """KITTI and EuRoC count from 1970; the same number of seconds since 1980 is ten years later."""
+    t, start = np.array([10.0, 20.0]), datetime(year, 5, 1)
+    unix = (start - datetime(1970, 1, 1)).total_seconds()
+    gps = (start - datetime(1980, 1, 6)).total_seconds() + ahead
+    shown = {"gps": gps, "week": gps % 604_800.0, "": unix}
+    for origin in (unix, gps):
+        for declared, there in shown.items():
+            assert RunClock.of_log(0.0, 100.0, origin).find_start(t + there, declared)[0] == there
+    assert RunClock.of_log(0.0, 100.0, 1.4e18).find_start(t + 1.4e18, "")[0] == 1.4e18
+
+
+def test_options_for_a_local_frame_are_rejected_for_other_files(run, tmp_path, capsys):
+    folder, truth, _ = run
+    rows = rows_of(truth)
+    table = tmp_path / "table.csv"
+    np.savetxt(table, np.column_stack([truth.t[rows], truth.vel_n[rows]]), delimiter=",", comments="",
+               header="t_s,vel_n_mps,vel_e_mps,vel_d_mps")  # fmt: skip
+    for path in (table, write_sbet(tmp_path, truth, rows)):
+        for option in (["--frame", "ned-frd"], ["--origin", "47,11,500"]):
+            assert main(["score", str(path), str(folder), *option]) == 2
+            said = " ".join(capsys.readouterr().err.split())
+            assert f"{path.name}: {option[0][2:]}: only for positions in a local frame" in said
+    for origin in ("91,11,500", "47,11", "47,11,500,0,0", "47,nan,500"):
+        assert main(["score", str(write_tum(tmp_path, truth, rows)), str(folder), "--origin", origin]) == 2
+        assert "--origin must be LAT,LON,HEIGHT" in capsys.readouterr().err
+
+
 # --- what bench exports ---------------------------------------------------------------------------------
 
 

@@ -18,6 +18,7 @@ from pydantic_core import PydanticCustomError
 from bench.core.records.instruments import INSTRUMENTS
 from bench.io.config.profile_tables import EstimatorTable, EvaluationTable, RequirementTable
 from bench.io.config.tables import NOT_NEGATIVE, ROWS, Table, between
+from bench.io.foreign.local_frames import is_origin
 from bench.io.log_formats import FORMATS, TABLES, list_names
 from bench.simulation.signals.gps_time import leap_seconds
 
@@ -139,13 +140,20 @@ class ImuTable(FileTable, AxesTable):
     datasheet."""
 
 
+def _check_origin(value: tuple[float, ...]) -> tuple[float, ...]:
+    if not is_origin(value):
+        raise PydanticCustomError("message", "must be latitude, longitude [deg], height [m], heading [deg]")
+    return value
+
+
 class LocalTable(FileTable):
     """A file whose positions may be in a local frame."""
 
     frame: str | None = None
     """Axes of local positions and of the body, such as "ned-frd". Default: by the format, or "enu-flu"."""
-    origin: Annotated[tuple[float, float, float, float], ROWS] | None = None
-    """Latitude, longitude [deg], height [m] of a local frame, heading [deg] of its north axis."""
+    origin: Annotated[tuple[float, ...], ROWS, AfterValidator(_check_origin)] | None = None
+    """Latitude, longitude [deg], height [m] of a local frame, and the heading of its north axis
+    [deg] unless it is 0."""
 
 
 class GnssTable(LocalTable):

@@ -8,6 +8,7 @@ of freedom away from the errors, so that an aligned error is smaller than the tr
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,6 +26,12 @@ _BODY = {"f": (1, 0, 0), "r": (0, 1, 0), "d": (0, 0, 1)}  # forward, right, down
 _OPPOSITE = {"s": "n", "w": "e", "u": "d", "b": "f", "l": "r"}
 _FEWEST = 3  # epochs
 _THIN = 1e-3  # extent across a straight line, relative to the extent along it, that three angles need [1]
+
+
+def is_origin(values: Sequence[float]) -> bool:
+    """Return whether values are latitude, longitude [deg], height [m], and a heading [deg] if given."""
+    limits = (90.0, 360.0, 1e5, 360.0)
+    return len(values) in (3, 4) and all(abs(one) <= most for one, most in zip(values, limits, strict=False))
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,7 +137,7 @@ class Alignment:
         return replace(solution, lla=lla, q_nb=q_nb, vel_n=vel_n, cov=np.full_like(solution.cov, np.nan))
 
 
-def align(kind: str, lla: FloatArray, target: FloatArray, origin: FloatArray, shown: str) -> Alignment:
+def align(kind: str, lla: FloatArray, target: FloatArray, shown: str) -> Alignment:
     """Return the alignment of positions with the positions of a track at the same epochs.
 
     Parameters
@@ -139,8 +146,6 @@ def align(kind: str, lla: FloatArray, target: FloatArray, origin: FloatArray, sh
         ``"se3"``: three angles and position; ``"yaw"``: heading and position.
     lla, target : (N, 3) array
         Positions and where they belong [rad, rad, m]; rows with a NaN do not count.
-    origin : (3,) array
-        Origin of the north-east-down frame of the alignment [rad, rad, m].
     shown : str
         Name of the file in messages.
 
@@ -154,6 +159,7 @@ def align(kind: str, lla: FloatArray, target: FloatArray, origin: FloatArray, sh
         raise ConfigError(
             f"{shown}: {known.sum()} epochs in common with the run; an alignment needs {_FEWEST}"
         )
+    origin = target[known][0]
     here, there = earth.local_ned(lla[known], origin), earth.local_ned(target[known], origin)
     C, thin = fit_rotation(kind, here - here.mean(axis=0), there - there.mean(axis=0))
     if thin < _THIN:

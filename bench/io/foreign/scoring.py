@@ -26,7 +26,7 @@ from bench.io import results
 from bench.io.config import fault_tables
 from bench.io.config.checks import LABEL
 from bench.io.exports.outgoing import make_calendar
-from bench.io.foreign.local_frames import FREEDOM, NONE, YAW, align
+from bench.io.foreign.local_frames import FREEDOM, NONE, YAW, align, is_origin
 from bench.io.foreign.run_clock import RunClock
 from bench.io.foreign.solution_rows import Placing
 from bench.io.foreign.solutions import check_unit, read_solution
@@ -64,11 +64,7 @@ class Matching:
                 raise ConfigError(f"{option} {seconds:g} must be a number of seconds")
         if self.align is not None and self.align not in FREEDOM:
             raise ConfigError(f"--align {self.align!r} must be {', '.join(FREEDOM)}")
-        if self.origin is not None and not (
-            len(self.origin) in (3, 4)
-            and all(map(math.isfinite, self.origin))
-            and abs(self.origin[0]) <= 90.0
-        ):
+        if self.origin is not None and not is_origin(self.origin):
             raise ConfigError("--origin must be LAT,LON,HEIGHT or LAT,LON,HEIGHT,HEADING [deg, deg, m, deg]")
 
 
@@ -176,8 +172,7 @@ def _align(
     t, target, point_b = targets
     there = resample(foreign, t, how.longest)
     arm_n = np.nan_to_num(rotation.rotate(there.q_nb, point_b))  # 0 if the attitude is unknown
-    origin = target[np.argmax(np.isfinite(target).all(axis=1))]
-    found = align(kind, earth.displace(there.lla, arm_n), target, origin, foreign.shown)
+    found = align(kind, earth.displace(there.lla, arm_n), target, foreign.shown)
     events = [(float(t[0]), float(t[-1]), "table", str(found)), *solution.events.rows()]
     return replace(found.apply(solution), events=Events.from_rows(events))
 

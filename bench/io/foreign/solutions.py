@@ -19,7 +19,7 @@ from bench.core.mathematics.arrays import FloatArray, IntArray
 from bench.core.records.data import InitialState, NavSolution, SensorData
 from bench.core.words.exceptions import ConfigError, EstimatorError
 from bench.evaluation.errors.resampling import ForeignSolution, resample
-from bench.io.foreign.solution_rows import NOWHERE, Placing, make_solution, read_foreign_rows
+from bench.io.foreign.solution_rows import NOWHERE, Placing, make_solution, read_foreign_rows, reject_placing
 from bench.io.logs.formats.pose_files import WEEK_CLOCK, recognizes
 from bench.io.logs.formats.text import read_kf_gins_solution
 from bench.io.logs.table_files import (
@@ -95,7 +95,10 @@ def read_solution(path: Path, *, t_0: float = 0.0, placing: Placing = NOWHERE) -
         raise ConfigError(f"{shown}: {error.strerror or error}") from None
     if not stat.S_ISREG(kind) and not recognizes(path):
         raise ConfigError(f"{shown}: not a regular file")
-    if (foreign := read_foreign_rows(path)) is not None:
+    foreign = read_foreign_rows(path)
+    if foreign is None or not foreign.frame:
+        reject_placing(shown, frame=placing.frame, origin=placing.origin)
+    if foreign is not None:
         solution = make_solution(foreign, shown, placing)
         return replace(solution, t=solution.t - t_0)
     if path.suffix.lower() == ".nav":

@@ -10,11 +10,9 @@ from bench.core.files import disk_arrays
 from bench.core.mathematics.arrays import BoolArray, FloatArray, IntArray
 from bench.core.words.exceptions import ConfigError
 from bench.io.logs.rows import LogRows
-from bench.simulation.signals.gps_time import leap_seconds, to_date
+from bench.simulation.signals.gps_time import UNIX_TO_GPS, leap_seconds, may_be_gps, to_date
 from bench.simulation.signals.orbits import WEEK
 
-_UNIX_TO_GPS = 315964800.0  # from 1970 to 1980-01-06 [s]
-_GPS_BEGIN, _UNIX_BEGIN = 1e9, 1.5e9  # GPS time of 2011, Unix time of 2017: the ranges do not meet [s]
 _NEAR = 600.0  # a gap over the end of a week may be twice as long [s]
 
 
@@ -70,12 +68,12 @@ def _meet_unix(rows: LogRows, first: float, last: float) -> LogRows:
 
     That clock is UTC, or GPS time if the rows and the IMU then have more time in common.
     """
-    if not len(rows.t) or not (first > _UNIX_BEGIN > rows.t.max() and rows.t.min() > _GPS_BEGIN):
+    if not len(rows.t) or first < rows.t.max() or not may_be_gps(float(rows.t.min())):
         return rows
     ahead = leap_seconds(to_date(float(rows.t.min())))
     shared = {
         shift: min(rows.t.max() + shift, last) - max(rows.t.min() + shift, first)
-        for shift in (_UNIX_TO_GPS - ahead, _UNIX_TO_GPS)
+        for shift in (UNIX_TO_GPS - ahead, UNIX_TO_GPS)
     }
     utc, gps = shared
     shift = gps if shared[gps] > shared[utc] + 1.0 else utc

@@ -22,7 +22,7 @@ from bench.evaluation.motion.recorded_motion import Check
 from bench.io.config.log import ReferenceSpec, SourceSpec
 from bench.io.foreign.local_frames import NONE, YAW, align
 from bench.io.foreign.run_clock import RunClock
-from bench.io.foreign.solution_rows import Placing
+from bench.io.foreign.solution_rows import Placing, reject_placing
 from bench.io.foreign.solutions import DEVIATIONS, read_attitudes, read_solution
 from bench.io.log_formats import NAV, find_format
 from bench.io.logs import formats
@@ -67,7 +67,7 @@ def read_reference(
     reference : Reference
         Without covariance if it is aligned.
     checks : list of Check
-        The alignment.
+        Its clock and the alignment.
 
     Raises
     ------
@@ -75,14 +75,19 @@ def read_reference(
         If the file cannot be read, has no position, or none of its rows can judge: one line.
     """
     source, shown = spec.source, spec.source.path.name
-    kind, is_local = NONE, source.format == "poses" and bool(read_poses(source.path).frame)
+    kind, begin, checks = NONE, origin, list[Check]()
+    is_local = source.format == "poses" and bool(read_poses(source.path).frame)
+    wanted = None if spec.align == NONE else spec.align
+    if not is_local and source.format != "table":
+        reject_placing(shown, frame=source.frame, origin=source.origin, align=wanted)
     near = fixes.lla[np.argmax(fixes.valid)] if fixes.valid.any() else None
     placing = Placing(source.frame, source.origin, near)
     if source.path.suffix.lower() == NAV or is_local:
         found = read_solution(source.path, placing=placing)
         if is_local:
-            shift = RunClock.of_log(0.0, last, origin).find_start(found.t + source.time_offset, "")[0]
-            found = replace(found, t=found.t - shift + origin)
+            clock = RunClock.of_log(0.0, last, origin)
+            begin, remark = clock.find_start(found.t + source.time_offset, found.clock)
+            checks += [Check("reference_clock_s", begin, f"reference: {remark}", True)] if remark else []
             kind = _choose_alignment(spec, found.placed)
         t, lla, vel_n, q_nb = found.t, found.lla, found.vel_n, found.q_nb
         cov = np.zeros((len(t), 9, 9)) if found.cov is None else found.cov
@@ -90,7 +95,10 @@ def read_reference(
         values: dict[str, FloatArray] = {}
     else:
         rows, q_nb, sd_phi, placed = _read_rows(spec, placing)
-        kind = NONE if placed is None else _choose_alignment(spec, placed)
+        if placed is None:
+            reject_placing(shown, align=wanted)
+        else:
+            kind = _choose_alignment(spec, placed)
         rows = meet_week(unwrap_week(rows, shown), origin, origin + last)
         t, values = rows.t, dict(rows.values)
         lla, vel_n = values["lla"], values.get("vel_n", np.full((len(t), 3), np.nan))
@@ -109,10 +117,10 @@ def read_reference(
             block[:] = np.nan
     if good.sum() < _FEWEST:
         raise ConfigError(f"{shown}: {good.sum()} of {len(t)} rows are usable; at least {_FEWEST} are needed")
-    t = t[good] + source.time_offset - origin
+    t = t[good] + source.time_offset - begin
     check_times(t, "time", shown)
     if t[-1] < 0.0 or t[0] > last:
-        there = f"{t[0] + origin:.9g} to {t[-1] + origin:.9g} s"
+        there = f"{t[0] + begin:.9g} to {t[-1] + begin:.9g} s"
         raise ConfigError(
             f"{shown}: its times, {there}, do not overlap with the IMU, {origin:.9g} to "
             f"{last + origin:.9g} s; [reference] time_offset_s is added to them"
@@ -120,7 +128,10 @@ def read_reference(
     q_b = rotation.conjugate(rotation.from_euler(*spec.mounting))
     track = _make_solution(t, lla[good], vel_n[good], rotation.multiply(q_nb[good], q_b), cov[good])
     reference = Reference(track, np.asarray(spec.point_b))
-    return (reference, []) if kind == NONE else _align(kind, reference, fixes, antenna_b, shown)
+    if kind == NONE:
+        return reference, checks
+    reference, check = _align(kind, reference, fixes, antenna_b, shown)
+    return reference, [*checks, check]
 
 
 def _choose_alignment(spec: ReferenceSpec, placed: bool) -> str:
@@ -134,14 +145,14 @@ def _choose_alignment(spec: ReferenceSpec, placed: bool) -> str:
 
 def _align(
     kind: str, reference: Reference, fixes: GnssFixes, antenna_b: FloatArray, shown: str
-) -> tuple[Reference, list[Check]]:
+) -> tuple[Reference, Check]:
     """Return a reference moved and turned to the fixes, and the check with the alignment."""
     own = resample(take_as_read(reference.track, shown), fixes.t[fixes.valid])
     arm_n = np.nan_to_num(rotation.rotate(own.q_nb, antenna_b - reference.point_b))
     target = fixes.lla[fixes.valid]
-    found = align(kind, displace(own.lla, arm_n), target, target[0], shown)
+    found = align(kind, displace(own.lla, arm_n), target, shown)
     check = Check("reference_alignment_m", found.residual, f"reference: {found}", True)
-    return replace(reference, track=found.apply(reference.track)), [check]
+    return replace(reference, track=found.apply(reference.track)), check
 
 
 def _read_rows(

@@ -47,7 +47,8 @@ def read(form: str, path: Path, kind: str, topic: str | None) -> LogRows:
         raise ConfigError(f"{path.name}: no GGA sentence with a time{wrong}")
     if day is None:
         raise ConfigError(
-            f"{path.name}: no RMC sentence with a date, which times of GGA need; let the receiver write both"
+            f"{path.name}: no RMC sentence with a date and a fix, which times of GGA need; let the receiver "
+            "write both"
         )
     notes = []
     if broken:
@@ -99,7 +100,8 @@ def _read_epochs(path: Path) -> tuple[FloatArray, date | None, int]:
                         days += DAY
                     last = t
                     now = [t, *[math.nan] * (_COLUMNS - 2), days]
-                if kind == "RMC" and first is None and (first := _parse_date(words[9])) is not None:
+                dated = kind == "RMC" and words[2] == "A" and first is None
+                if dated and (first := _parse_date(words[9])) is not None:
                     start = gps_seconds(first.year, first.month, first.day) - days
                 _fill(now, kind, words)
                 if count > MOST_ROWS:
