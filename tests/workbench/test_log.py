@@ -302,6 +302,25 @@ def test_a_recording_is_navigated_and_judged_like_a_run(folder, tmp_path, capsys
     assert "--force" in capsys.readouterr().err
 
 
+def test_a_fix_that_contradicts_the_imu_evaluates_no_filter(folder):
+    """Of two fixes with a glitch of 40 m/s one would be withheld; both go to the filter."""
+    spec = load_log(str(folder / "drive.toml"))
+    recorded = read_records(spec)
+    start = find_start(recorded, spec)
+    plain = Session(spec, recorded, start)
+    wrong = [plain.spec.withhold * 40 - 1, plain.spec.withhold * 40 + 1]
+    vel_n = recorded.fixes.vel_n.copy()
+    vel_n[np.isin(recorded.fixes.t, plain.fixes.t[wrong])] += [40.0, 0.0, 0.0]
+    session = Session(spec, replace(recorded, fixes=replace(recorded.fixes, vel_n=vel_n)), start)
+    assert np.flatnonzero(~session.sound).tolist() == wrong
+    keep, withheld = session.split_fixes()
+    expected = plain.split_fixes()[0].copy()
+    assert not expected[wrong[0]]
+    expected[wrong] = True
+    assert_array_equal(keep, expected)
+    assert_array_equal(withheld.t, session.fixes.t[~keep])
+
+
 def test_the_withheld_fixes_never_reach_the_filter(folder):
     """Other values in them leave the solution as it is, bit by bit."""
     spec = load_log(str(folder / "drive.toml"))

@@ -82,9 +82,9 @@ def _find_covered(records: LogRecords) -> tuple[float, float]:
 
 
 def find_impact(records: LogRecords) -> float | None:
-    """Return the time one second before the IMU tumbles and then lies still [s]; None without such an impact.
+    """Return the time one second before an impact [s]; None without one.
 
-    That it lies still say fixes with velocities, or the record ends there.
+    At an impact the IMU tumbles. After it, the fixes move no more or the recording ends.
     """
     imu, fixes = records.imu, records.fixes
     rate = np.linalg.norm(imu.dtheta_b, axis=1) / imu.dt

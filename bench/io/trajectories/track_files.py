@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 from array import array
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import reduce
@@ -184,10 +184,8 @@ def _read_nmea(path: Path, notes: list[str]) -> Iterator[Fix]:
         if t < last - _DAY / 2:
             day += _DAY
         last = t
-        lat, lon = (parse_degrees(words[k], words[k + 1]) for k in (2, 4))
-        separation = parse_number(words[11])
-        without += math.isnan(separation)
-        height = parse_number(words[9]) + (0.0 if math.isnan(separation) else separation)
+        lat, lon, height, lacks = parse_place(words)
+        without += lacks
         yield day + t, lat, lon, height
     for count, why in (
         (broken, "with a wrong checksum"),
@@ -205,6 +203,17 @@ def split_sentence(line: str) -> list[str]:
     if not star or f"{reduce(xor, body.encode('latin-1'), 0):02X}" != rest[:2].upper():
         return []
     return [*body.split(","), *[""] * 15]
+
+
+def parse_place(words: Sequence[str]) -> tuple[float, float, float, bool]:
+    """Return latitude, longitude [deg] and height [m] of a GGA, and whether its geoid separation is missing.
+
+    Without a geoid separation the height is above the sea.
+    """
+    lat, lon = (parse_degrees(words[k], words[k + 1]) for k in (2, 4))
+    separation = parse_number(words[11])
+    lacks = math.isnan(separation)
+    return lat, lon, parse_number(words[9]) + (0.0 if lacks else separation), lacks
 
 
 def parse_clock(text: str) -> float:

@@ -9,7 +9,7 @@ IMU. The estimate of the autopilot: ``GLOBAL_POSITION_INT`` and ``ATTITUDE``, wi
 
 from __future__ import annotations
 
-from collections import Counter
+from array import array
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from functools import lru_cache
@@ -47,6 +47,7 @@ _IDS = {
     **{"GPS_RAW_INT": 24, "SCALED_PRESSURE": 29, "ATTITUDE": 30, "GLOBAL_POSITION_INT": 33, "SYSTEM_TIME": 2},
 }
 _TOPICS = {"imu": (*_IMUS,), "gnss": ("GPS_RAW_INT",), "baro": ("SCALED_PRESSURE",), "mag": (*_IMUS,)}
+_AUTOPILOT = 1  # component MAV_COMP_ID_AUTOPILOT1
 _UNIX = 1e9  # a time above it is since 1970, not since the start of the autopilot [s]
 
 Columns = Mapping[str, FloatArray]
@@ -79,7 +80,7 @@ def _open(path: Path, changed: int) -> _Telemetry:
     common: Any = import_module("pymavlink.dialects.v20.common")
     raw, parser = path.read_bytes(), common.MAVLink(None)
     names = {number: name for name, number in _IDS.items()}
-    rows: dict[tuple[int, str], list[tuple[float, ...]]] = {}
+    rows: dict[tuple[int, int], dict[str, array[float]]] = {}  # system and component -> name -> rows
     fields: dict[str, tuple[str, ...]] = {}
     read, first = 0, 0.0
     for begin, stop, number in _list_frames(raw):
@@ -91,21 +92,19 @@ def _open(path: Path, changed: int) -> _Telemetry:
             fields[name] = ("arrival", *message.fieldnames)
             came = 1e-6 * int.from_bytes(raw[begin : begin + 8], "big")
             first = first or came
-            of = rows.setdefault((message.get_srcSystem(), name), [])
-            of.append((came, *(float(getattr(message, field)) for field in message.fieldnames)))
-            if len(of) > MOST_ROWS:
+            sender = rows.setdefault((message.get_srcSystem(), message.get_srcComponent()), {})
+            of = sender.setdefault(name, array("d"))
+            of.extend((came, *(float(getattr(message, field)) for field in message.fieldnames)))
+            if len(of) > MOST_ROWS * len(fields[name]):
                 raise ConfigError(f"{path.name}: more than {MOST_ROWS} rows")
         read += stop - begin
     if not rows:
         raise ConfigError(f"{path.name}: no MAVLink messages with motion; expected {', '.join(_IDS)}")
-    counts = Counter[int]()
-    for (system, _), of in rows.items():
-        counts[system] += len(of)
-    system = counts.most_common(1)[0][0]
+    # a camera or gimbal beside the autopilot measures, too
+    own = max(rows, key=lambda sender: (sender[1] == _AUTOPILOT, sum(map(len, rows[sender].values()))))
     messages = {
-        name: dict(zip(fields[name], np.array(of).T, strict=True))
-        for (one, name), of in rows.items()
-        if one == system
+        name: dict(zip(fields[name], np.frombuffer(of).reshape(-1, len(fields[name])).T, strict=True))
+        for name, of in rows[own].items()
     }
     return _Telemetry(messages, first, len(raw) - read)
 
@@ -216,7 +215,7 @@ def read_estimate(path: Path, instance: int | None) -> OwnEstimate:
     """Return the estimate of the autopilot, with heights over the ellipsoid if the receiver gives both."""
     log = _open_log(path)
     if not {"GLOBAL_POSITION_INT", "ATTITUDE"} <= log.messages.keys() or instance is not None:
-        raise ConfigError("one estimate at most: GLOBAL_POSITION_INT and ATTITUDE")
+        raise ConfigError(f"{path.name}: one estimate at most: GLOBAL_POSITION_INT and ATTITUDE")
     place, turn, fixes = (log.messages.get(one) for one in ("GLOBAL_POSITION_INT", "ATTITUDE", "GPS_RAW_INT"))
     assert place is not None
     assert turn is not None

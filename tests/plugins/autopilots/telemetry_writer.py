@@ -13,12 +13,15 @@ BEGIN = 1_700_000_000.0
 SEA, ELLIPSOID = 600.0, 648.5  # [m]
 
 
-def write_telemetry(path: Path, count: int = 400, rate: float = 50.0, *, unix: bool = False) -> Path:
+def write_telemetry(
+    path: Path, count: int = 400, rate: float = 50.0, *, unix: bool = False, gimbal: bool = False
+) -> Path:
     """Write RAW_IMU at a rate [Hz], GPS_RAW_INT at 5 Hz, the rest at 10 Hz, and messages of a ground station.
 
-    ``unix``: GPS_RAW_INT has times since 1970.
+    ``unix``: GPS_RAW_INT has times since 1970. ``gimbal``: a component of the vehicle has an IMU, too.
     """
-    autopilot, ground = common.MAVLink(None, srcSystem=1), common.MAVLink(None, srcSystem=255)
+    autopilot, ground = common.MAVLink(None, srcSystem=1, srcComponent=1), common.MAVLink(None, srcSystem=255)
+    beside = common.MAVLink(None, srcSystem=1, srcComponent=154)
     with path.open("wb") as file:
 
         def put(link, t: float, message) -> None:
@@ -32,6 +35,9 @@ def write_telemetry(path: Path, count: int = 400, rate: float = 50.0, *, unix: b
             force, turn = motion(t)
             mg, mrad = (round(v / 9.80665e-3) for v in force), (round(1e3 * v) for v in turn)
             put(autopilot, t, common.MAVLink_raw_imu_message(us, *mg, *mrad, 210, 30, -420))
+            for _ in range(3 * gimbal):
+                put(beside, t, common.MAVLink_raw_imu_message(us, 0, 0, 999, 5, 5, 5, 0, 0, 0))
+                put(beside, t, common.MAVLink_attitude_message(ms, 1.0, 1.0, 1.0, 0, 0, 0))
             if k % 5 == 0:
                 put(autopilot, t, common.MAVLink_scaled_pressure_message(ms, 950.0, 0.0, 2000))
                 put(autopilot, t, common.MAVLink_attitude_message(ms, 0.1, -0.05, 1.2, 0, 0, 0))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -15,6 +17,8 @@ from bench.io.config.log import SourceSpec, load_log
 from bench.io.logs import formats, own_estimate
 from bench.io.logs.file_kinds import recognize
 from bench.io.logs.log_records import read_records
+from bench.io.logs.rows import ROW_MEMORY
+from bench.plugins.autopilots import telemetry
 from bench.simulation.signals.air import pressure_altitude
 from tests.plugins.autopilots.telemetry_writer import BEGIN, ELLIPSOID, motion, place, write_telemetry
 
@@ -58,6 +62,30 @@ def test_fixes_in_unix_time_get_the_clock_of_the_autopilot(tmp_path):
     rows = formats.read("tlog", write_telemetry(tmp_path / "a.tlog", unix=True), "gnss", None)
     assert_allclose(rows.t, 10.0 + np.arange(40) / 5.0, atol=1e-6)
     assert BEGIN > 1e9
+
+
+def test_a_gimbal_of_the_same_system_is_not_the_autopilot(tmp_path):
+    plain, beside = (
+        formats.read("tlog", write_telemetry(tmp_path / f"{one}.tlog", gimbal=one), "imu", None)
+        for one in (False, True)
+    )
+    assert_allclose(beside.t, plain.t)
+    assert_allclose(beside.values["accel"], plain.values["accel"])
+
+
+def test_a_row_takes_no_more_than_its_numbers(tmp_path):
+    path = write_telemetry(tmp_path / "a.tlog", count=20_000)
+    tracemalloc.start()
+    rows = formats.read("tlog", path, "imu", None)
+    most = tracemalloc.get_traced_memory()[1] - path.stat().st_size
+    tracemalloc.stop()
+    assert len(rows.t) == 20_000
+    assert most / len(rows.t) < ROW_MEMORY
+
+
+def test_another_estimate_is_a_line_with_the_name_of_the_file(tmp_path):
+    with pytest.raises(ConfigError, match=r"^a\.tlog: one estimate at most"):
+        telemetry.read_estimate(write_telemetry(tmp_path / "a.tlog"), 1)
 
 
 def test_a_slow_imu_is_a_line_and_a_file_of_another_name_is_recognized(tmp_path, capsys):

@@ -20,7 +20,7 @@ from bench.core.words.exceptions import ConfigError
 from bench.core.words.wording import format_count
 from bench.io.logs.rows import MOST_ROWS, LogRows, to_horizontal
 from bench.io.logs.table_files import MOST_BYTES
-from bench.io.trajectories.track_files import parse_clock, parse_degrees, parse_number, split_sentence
+from bench.io.trajectories.track_files import parse_clock, parse_number, parse_place, split_sentence
 from bench.simulation.signals.gps_time import gps_seconds, leap_seconds
 from bench.simulation.signals.orbits import DAY
 
@@ -125,16 +125,9 @@ def _keep(now: Sequence[float], flat: array[float]) -> bool:
 def _fill(now: list[float], kind: str, words: Sequence[str]) -> None:
     """Enter the words of a sentence into its epoch."""
     if kind == "GGA":
-        separation = parse_number(words[11])
-        height = parse_number(words[9]) + (0.0 if math.isnan(separation) else separation)
-        now[_LAT : _ALT + 1] = [parse_degrees(words[2], words[3]), parse_degrees(words[4], words[5]), height]
-        quality = parse_number(words[6])
-        now[_QUALITY : _SEA + 1] = [
-            0.0 if math.isnan(quality) else quality,
-            parse_number(words[7]),
-            parse_number(words[8]),
-            float(math.isnan(separation)),
-        ]
+        *now[_LAT : _ALT + 1], now[_SEA] = parse_place(words)
+        quality, now[_SATELLITES], now[_HDOP] = (parse_number(words[k]) for k in (6, 7, 8))
+        now[_QUALITY] = 0.0 if math.isnan(quality) else quality
     elif kind == "RMC" and words[2] == "A":
         now[_SPEED : _COURSE + 1] = [parse_number(words[7]) * _KNOT, parse_number(words[8])]
     elif kind == "VTG" and math.isnan(now[_SPEED]):

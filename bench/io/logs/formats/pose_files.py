@@ -265,9 +265,9 @@ def _read_sbet(path: Path) -> PoseRows:
 
 
 def _turn_velocity(t: FloatArray, lla: FloatArray, vel: FloatArray, wander: FloatArray) -> FloatArray | None:
-    """Return velocities north, east, down of velocities in the wander frame; None if none fit the positions.
+    """Return velocities in the wander frame turned to n; None if they contradict the positions.
 
-    Whether y points right and z down, or y left and z up, is found by the change of the positions.
+    The change of the positions shows whether y points right or left, and z down or up.
     """
     if len(t) < 2:
         return None

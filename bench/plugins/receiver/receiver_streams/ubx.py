@@ -1,7 +1,7 @@
 """Read UBX of u-blox receivers: raw measurements (RXM-RAWX) and broadcast messages (RXM-SFRBX).
 
 The layouts are those of the ROS package ublox_ubx_msgs and of the u-blox interface description UBX-18010854;
-pyubx2 reads the same values. BroadcastParts of a fixed layout need no package. Others are passed over.
+pyubx2 reads the same values. Messages of a fixed layout need no package. Others are passed over.
 """
 
 from __future__ import annotations
