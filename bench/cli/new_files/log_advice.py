@@ -46,11 +46,12 @@ def apply_advice(name: str, console: Console, **log_options: Any) -> log_pipelin
             raise ConfigError(f"{name}: {error}: change the keys by hand, or remove --apply") from None
         try:
             still = _try(path, after, log_options)
+            mended = len(still) < len(_list_wrong(log)) or still.isdisjoint(one.name for one in advised)
+            why = "" if mended else f"these checks fail: {', '.join(sorted(still))}"
         except BenchError as error:
-            say(f"{name} is not changed: with the advice applied: {error.messages[0]}")
-            break
-        if len(still) >= len(_list_wrong(log)) and not still.isdisjoint(one.name for one in advised):
-            say(f"{name} is not changed: with the advice these checks fail: {', '.join(sorted(still))}")
+            why = error.messages[0]
+        if why:
+            say(f"{name} is not changed: with the advice {why}")
             break
         _replace(path, text, after)
         log = log_pipeline.read_log(name, **log_options)

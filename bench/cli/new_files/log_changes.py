@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 import re
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from functools import partial
 from itertools import permutations
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ import numpy as np
 
 from bench.core.mathematics import rotation
 from bench.core.mathematics.arrays import FloatArray
-from bench.core.mathematics.signed_axes import write_axes
+from bench.core.mathematics.rotation import write_axes
 from bench.core.mathematics.units import STANDARD_GRAVITY
 from bench.core.words.exceptions import ConfigError
 from bench.core.words.wording import format_value
@@ -63,35 +64,34 @@ def list_changes(
         elif key == "imu.axes":
             changed |= {("imu", name): given for name, given in change_axes(imu, *value).items()}
         elif key == "gnss.velocity":
-            names = _list_names(gnss, "columns", beside)
-            changed |= _rename(gnss, "gnss", "columns", names, _name_velocity(names, value))
+            changed |= _rename(gnss, "gnss", "columns", beside, partial(_name_velocity, matrix=value))
         elif key in ("imu.gyro_gain", "imu.accel_gain"):
             gyro = key == "imu.gyro_gain"
             columns = "gyro_columns" if gyro and "gyro_file" in imu else "columns"
             new = _name_unit("gyro", _RATES, value) if gyro else _name_unit("accel", _FORCES, value)
-            changed |= _rename(imu, "imu", columns, _list_names(imu, columns, beside), new)
+            changed |= _rename(imu, "imu", columns, beside, lambda _, new=new: new)
     return changed
 
 
-def _list_names(row: Mapping[str, Any], columns: str, beside: Path) -> dict[str, str]:
-    """Return the columns of a table by the names of bench, those that the log does not map included."""
-    file = str(row.get("gyro_file" if columns == "gyro_columns" else "file", ""))
-    given = dict(row.get(columns, {}))
+def _rename(
+    row: dict[str, Any], table: str, key: str, beside: Path, choose: Callable[..., dict[str, str]]
+) -> dict[tuple[str, str], Any]:
+    """Return the change of columns that get new names, on which the next change builds; {} if none.
+
+    ``choose`` makes old and new names of those in use: that the log gives, or that are in the file.
+    """
+    file = str(row.get("gyro_file" if key == "gyro_columns" else "file", ""))
     if row.get("format", "table" if Path(file).suffix.lower() in TABLES else "") != "table":
         return {}
+    given: dict[str, str] = dict(row.get(key, {}))
+    known = given
     with suppress(ConfigError, OSError):
-        return {one: one for one in list_columns(beside / file) if one not in given.values()} | given
-    return given
-
-
-def _rename(
-    row: dict[str, Any], table: str, key: str, known: Mapping[str, str], new: Mapping[str, str]
-) -> dict[tuple[str, str], Any]:
-    """Return the change of columns that get new names, on which the next change builds; {} if none."""
+        known = {one: one for one in list_columns(beside / file) if one not in given.values()} | given
+    new = choose(known)
     if not new or not set(new) <= set(known) or set(new.values()) & (set(known) - set(new)):
         return {}
-    given = {new.get(one, one): there for one, there in row.get(key, {}).items()}
-    row[key] = given | {one: known[old] for old, one in new.items()}
+    kept = {new.get(one, one): there for one, there in given.items()}
+    row[key] = kept | {one: known[old] for old, one in new.items()}
     return {(table, key): row[key]}
 
 
@@ -145,17 +145,14 @@ def _name_unit(sensor: str, units: Mapping[str, float], gain: float) -> dict[str
 def _name_velocity(known: Mapping[str, str], matrix: FloatArray) -> dict[str, str]:
     """Return the names of columns of which a matrix makes velocities in n [m/s]; {} if no names say so."""
     ends = [(down, unit) for down in "du" for unit in ("mps", "m_s") if f"vel_{down}_{unit}" in known]
-    factor = float(np.abs(matrix).max())
-    if not ends or min(abs(factor - 1.0), abs(3.6 * factor - 1.0)) > 1e-6:
-        return {}
-    down, unit = ends[0]
+    down, unit = ends[0] if ends else ("d", "mps")
+    new = {1.0: unit, 3.6: "km_h"}.get(round(1.0 / float(np.abs(matrix).max()), 6))
     signed = np.sign(matrix) * [1.0, 1.0, 1.0 if down == "d" else -1.0]
-    if signed[:2].min() < 0.0:
+    if new is None or signed[:2].min() < 0.0:
         return {}
-    axes = ("n", "e", "u" if signed[2].min() < 0.0 else "d")
-    taken = [("n", "e", down)[int(k)] for k in np.argmax(np.abs(signed), axis=1)]
-    new = unit if factor > 0.5 else "km_h"
-    return {f"vel_{old}_{unit}": f"vel_{axis}_{new}" for axis, old in zip(axes, taken, strict=True)}
+    axes, taken = ("n", "e", "u" if signed[2].min() < 0.0 else "d"), np.abs(signed).argmax(axis=1)
+    old = [f"vel_{('n', 'e', down)[int(k)]}_{unit}" for k in taken]
+    return {one: f"vel_{axis}_{new}" for one, axis in zip(old, axes, strict=True)}
 
 
 def write_changes(text: str, changed: Mapping[tuple[str, str], Any]) -> str:
@@ -171,7 +168,7 @@ def write_changes(text: str, changed: Mapping[tuple[str, str], Any]) -> str:
     wanted: dict[str, Any] = tomllib.loads(text)
     after = text
     for (table, key), value in changed.items():
-        head = re.search(rf"^[ \t]*\[[ \t]*{table}[ \t]*\][ \t]*(#.*)?\r?$", after, re.MULTILINE)
+        head = re.search(rf"^[ \t]*\[[ \t]*{table}[ \t]*\][ \t]*(#.*?)?(\r?)$", after, re.MULTILINE)
         if head is None:
             raise ValueError(f"no line [{table}]")
         end = re.search(r"^[ \t]*\[", after[head.end() :], re.MULTILINE)
@@ -180,15 +177,12 @@ def write_changes(text: str, changed: Mapping[tuple[str, str], Any]) -> str:
         if old := re.search(rf"^([ \t]*){key}[ \t]*=(.*?)(\r?)$", body, re.MULTILINE):
             body = f"{body[: old.start()]}{old[1]}{line}{_find_comment(old[2])}{old[3]}{body[old.end() :]}"
         else:
-            end_of_line = "\r" if head[0].endswith("\r") else ""
-            body = f"\n{line}{_BY}{end_of_line}{body}"
+            body = "\n" + line + _BY + head[2] + body
         after = after[: head.end()] + body + after[stop:]
         wanted[table] = {**wanted[table], key: value}
-    try:
+    with suppress(tomllib.TOMLDecodeError):
         if tomllib.loads(after) == wanted:
             return after
-    except tomllib.TOMLDecodeError:
-        pass
     raise ValueError(f"{', '.join(f'[{table}] {key}' for table, key in changed)} not in a line of its own")
 
 

@@ -1,10 +1,13 @@
-"""Rotations: quaternions, matrices, Euler angles, rotation vectors.
+"""Rotations: quaternions, matrices, Euler angles, rotation vectors, and axes in another order or reversed.
 
 ``q_ab`` and ``C_ab`` take a vector from b to a: ``v_a = C_ab @ v_b``. Quaternions are Hamilton, scalar first
 (w, x, y, z). Every function takes one time, or a series with one time per row.
 """
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import permutations, product
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -199,3 +202,20 @@ def to_scalar_last(q_ab: ArrayLike) -> FloatArray:
 def from_scalar_last(q_ab: ArrayLike) -> FloatArray:
     """Return (w, x, y, z) of (x, y, z, w), rows (..., 4)."""
     return np.roll(np.asarray(q_ab, float), 1, axis=-1)
+
+
+def list_signed_axes() -> list[FloatArray]:
+    """Return the 48 orders and signs of three axes; the given one first."""
+    orders, signs = permutations(range(3)), list(product((1.0, -1.0), repeat=3))
+    return [np.eye(3)[list(order)] * np.array(one)[:, None] for order in orders for one in signs]
+
+
+def write_axes(matrix: FloatArray, names: Sequence[str] = "xyz") -> str:
+    """Return the columns from which axes are taken, with their signs.
+
+    Examples
+    --------
+    >>> write_axes(np.eye(3)[[1, 0, 2]] * [[-1], [1], [1]])
+    '-y, x, z'
+    """
+    return ", ".join(f"{'-' if row.min() < 0 else ''}{names[int(np.argmax(np.abs(row)))]}" for row in matrix)

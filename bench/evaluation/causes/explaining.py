@@ -16,6 +16,7 @@ from bench.core.words.exceptions import EstimatorError, EstimatorFailedError
 from bench.evaluation.causes.candidates import list_candidates
 from bench.evaluation.causes.search import advise, describe_causes, find_causes
 from bench.evaluation.consistency.block_nees import BlockNees, judge_blocks
+from bench.evaluation.conventions.convention_search import keep_finite
 from bench.evaluation.errors.error_series import TITLES, error_series
 from bench.navigation import estimator
 from bench.navigation.error_state_filter.aiding_sensors import AIDING, unmodeled
@@ -98,8 +99,8 @@ def explain_run(
         {
             "cause": candidate.words,
             "block": TITLES[step.block],
-            "nees": _finite(step.before.mean),
-            "nees_without": _finite(step.after.mean),
+            "nees": keep_finite(step.before.mean),
+            "nees_without": keep_finite(step.after.mean),
             "step": number,
         }
         for number, step in enumerate(causes.steps, 1)
@@ -112,7 +113,3 @@ def explain_run(
         "advice_text": advice,
         "why_text": f"Why: {describe_causes(causes, advice)}",
     }
-
-
-def _finite(value: float) -> float | None:
-    return value if np.isfinite(value) else None

@@ -17,9 +17,9 @@ import numpy as np
 
 from bench.core.records.sensor_specs import AssumedSpecs, SensorsSpec
 from bench.core.records.specs import EstimatorChoice
-from bench.core.words.wording import format_number
 from bench.evaluation.causes.candidates import SKY_ERRORS, WANDER, Candidate
 from bench.evaluation.consistency.block_nees import BlockNees, find_broken_block
+from bench.evaluation.conventions.convention_search import write_nees
 from bench.evaluation.errors.error_series import TITLES
 from bench.navigation import built_in, estimator
 from bench.navigation.forward_filters import FORWARD
@@ -158,7 +158,7 @@ def describe_causes(causes: Causes, advice: str) -> str:
     if not causes.steps:
         return (
             f"not found: no fault, and no error that it does not model, makes {100 * LEAST:.0f} % of the "
-            f"excess NEES of the {TITLES[causes.block]}, {_write(causes.before.mean)} where "
+            f"excess NEES of the {TITLES[causes.block]}, {write_nees(causes.before.mean)} where "
             f"{causes.before.states} is expected."
         )
     parts = []
@@ -168,7 +168,7 @@ def describe_causes(causes: Causes, advice: str) -> str:
         too = "" if not number else ", too,"
         parts.append(
             f"{names}: without {them}{too} the NEES of the {TITLES[step.block]} is "
-            f"{_write(step.after.mean)} and not {_write(step.before.mean)}"
+            f"{write_nees(step.after.mean)} and not {write_nees(step.before.mean)}"
         )
     told = f"{'; then '.join(parts)} ({causes.before.states} expected)."
     if causes.left is not None:
@@ -212,7 +212,3 @@ def advise(choice: EstimatorChoice, specs: AssumedSpecs, named: Collection[Candi
 
 def _join(words: Sequence[str]) -> str:
     return " and ".join(filter(None, [", ".join(words[:-1]), words[-1]]))
-
-
-def _write(nees: float) -> str:
-    return format_number(nees, 3) if np.isfinite(nees) else "without bound"

@@ -309,12 +309,13 @@ def describe(steps: Sequence[Sequence[Mistake]], before: BlockNees, after: Block
             parts[-1] += " (this flight does not show which)"
     them = "that" if len(steps) == 1 else "these"
     return (
-        f"Looks like {', and '.join(parts)}: without {them} its NEES is {_write(after.mean)} and not "
-        f"{_write(before.mean)} ({after.states} expected)."
+        f"Looks like {', and '.join(parts)}: without {them} its NEES is {write_nees(after.mean)} and not "
+        f"{write_nees(before.mean)} ({after.states} expected)."
     )
 
 
-def _write(nees: float) -> str:
+def write_nees(nees: float) -> str:
+    """Return a mean NEES in words."""
     return format_number(nees, 3) if np.isfinite(nees) else "without bound"
 
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bench.core.mathematics.arrays import FloatArray
-from bench.core.mathematics.signed_axes import list_signed, write_axes
+from bench.core.mathematics.rotation import list_signed_axes, write_axes
 
 _LEAN = np.cos(np.deg2rad(50.0))  # a vector that belongs to an axis is at least this much along it
 
@@ -35,7 +35,7 @@ def name_axes(gyro: FloatArray, accel: FloatArray, up: FloatArray, ahead: FloatA
     up, ahead : (3,) arrays
         Directions of the specific force and of the motion, in the axes so made; None if that does not show.
     """
-    turns = [one for one in list_signed() if np.linalg.det(one) > 0]
+    turns = [one for one in list_signed_axes() if np.linalg.det(one) > 0]
     for known in ((up, ahead), (up, None), (None, None)):
         fitting = [R for R in turns if _agrees(R, *known)]
         if fitting:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bench.core.mathematics.arrays import FloatArray
-from bench.core.mathematics.signed_axes import list_signed
+from bench.core.mathematics.rotation import list_signed_axes
 from bench.evaluation.motion.clock_search import find_offsets
 from bench.evaluation.motion.motion_fit import (
     MOTION_NOISE,
@@ -92,7 +92,7 @@ def _find(motion: RecordedMotion, offset: float, down: float) -> Stretches:
 
 def list_axes() -> list[tuple[FloatArray, FloatArray]]:
     """Return the 96 assignments of axes that differ by more than a common rotation; the given one first."""
-    return [(gyro, sign * np.eye(3)) for sign in (1.0, -1.0) for gyro in list_signed()]
+    return [(gyro, sign * np.eye(3)) for sign in (1.0, -1.0) for gyro in list_signed_axes()]
 
 
 def list_units(motion: RecordedMotion) -> list[float]:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bench.core.mathematics.arrays import FloatArray
-from bench.core.mathematics.signed_axes import list_signed, write_axes
+from bench.core.mathematics.rotation import list_signed_axes, write_axes
 
 UNITS = {"m/s": 1.0, "km/h": 3.6, "knots": 1.944, "ft/s": 3.281}
 """Name of a unit -> its number in one m/s."""
@@ -43,7 +43,7 @@ def find_frame(by_position: FloatArray, by_velocity: FloatArray) -> VelocityFram
     def scale(axes: FloatArray, unit: str) -> FloatArray:
         return axes / UNITS[unit]
 
-    signed = list_signed()
+    signed = list_signed_axes()
     plain = weigh(given)
     best = min(((weigh(scale(axes, unit)), k, unit) for k, axes in enumerate(signed) for unit in UNITS))
     cost, k, unit = best

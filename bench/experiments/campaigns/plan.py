@@ -30,6 +30,7 @@ from bench.experiments.campaigns.campaign_file import (
 )
 from bench.io import results
 from bench.io.config import read_profile
+from bench.io.results.truth_cache import hash_file
 
 _BLOCK = 1 << 20  # [byte]
 _MOST_NAMED = 200  # files that wrappers name
@@ -216,7 +217,7 @@ def _shorten(value: Any) -> str:
 def _describe_estimator(choice: EstimatorChoice) -> dict[str, Any]:
     """Return the inputs on which the results of a filter depend, apart from the sources of bench."""
     plain = dataclasses.asdict(choice) | {"beside": ""}
-    return plain | {"source": [_hash_file(path) for path in find_sources(choice)]}
+    return plain | {"source": [hash_file(path) for path in find_sources(choice)]}
 
 
 def hash_estimator(plan: Plan, label: str) -> str:
@@ -291,10 +292,5 @@ def describe_software() -> dict[str, str]:
 def _hash_package() -> str:
     digest = hashlib.sha256()
     for path in sorted(PACKAGE.rglob("*.py")):
-        digest.update(f"{path.relative_to(PACKAGE)}\0{_hash_file(path)}".encode())
+        digest.update(f"{path.relative_to(PACKAGE)}\0{hash_file(path)}".encode())
     return digest.hexdigest()
-
-
-def _hash_file(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -57,10 +57,7 @@ def meet_week(rows: LogRows, first: float, last: float) -> LogRows:
     week = find_week(rows.t, first, last)
     if not week:
         return _meet_unix(rows, first, last)
-    values = dict(rows.values)
-    if "arrival" in values:
-        values["arrival"] = values["arrival"] + week
-    return replace(rows, t=rows.t + week, values=values, week_ends=True)
+    return replace(_shift(rows, week), week_ends=True)
 
 
 def _meet_unix(rows: LogRows, first: float, last: float) -> LogRows:
@@ -84,10 +81,12 @@ def _meet_unix(rows: LogRows, first: float, last: float) -> LogRows:
         f"the fixes count GPS time from 1980, the IMU from 1970: taken as {taken}; if it counts {other}, "
         f"[imu] time_offset_s must add {more:+d}"
     )
-    values = dict(rows.values)
-    if "arrival" in values:
-        values["arrival"] = values["arrival"] + shift
-    return replace(rows, t=rows.t + shift, values=values, notes=(*rows.notes, note))
+    return replace(_shift(rows, shift), notes=(*rows.notes, note))
+
+
+def _shift(rows: LogRows, by: float) -> LogRows:
+    late = {name: rows.values[name] + by for name in ("arrival",) if name in rows.values}
+    return replace(rows, t=rows.t + by, values={**rows.values, **late})
 
 
 def check_order(t: FloatArray, valid: BoolArray, origin: float, shown: str) -> None:

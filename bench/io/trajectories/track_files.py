@@ -9,11 +9,9 @@ from __future__ import annotations
 import math
 import re
 from array import array
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from functools import reduce
-from operator import xor
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -23,6 +21,7 @@ from bench.core.files.file_checks import check_file
 from bench.core.mathematics.arrays import FloatArray, find_later
 from bench.core.words.exceptions import ConfigError, FlightError
 from bench.core.words.wording import format_count
+from bench.io.logs.formats.nmea_sentences import parse_number, read_places
 from bench.simulation.flight.model_files import read_xml
 
 MOST_FIXES, LEAST_FIXES = 500_000, 10
@@ -109,14 +108,6 @@ def _parse_time(text: str | None) -> float:
     return (at if at.tzinfo else at.replace(tzinfo=UTC)).timestamp()
 
 
-def parse_number(text: str | None) -> float:
-    """Return a number; NaN if the text is none."""
-    try:
-        return float(text or "nan")
-    except ValueError:
-        return math.nan
-
-
 def _read_gpx(path: Path, notes: list[str]) -> Iterator[Fix]:
     """Read GPX 1.1: trkpt with lat, lon, ele, time."""
     root, timed = read_xml(path, path.name), False
@@ -161,73 +152,10 @@ def _read_lines(path: Path) -> Iterator[str]:
 
 
 def _read_nmea(path: Path, notes: list[str]) -> Iterator[Fix]:
-    """Read NMEA 0183: GGA for time, position and height with geoid separation; quality 0 means no fix.
-
-    A clock that goes back by more than half a day has passed midnight.
-    """
-    broken, day, last = 0, 0.0, -1.0
-    none = without = 0
-    for line in _read_lines(path):
-        start = line.find("$")
-        if start < 0 or line[start + 3 : start + 6] != "GGA":
-            continue
-        words = split_sentence(line)
-        if not words:
-            broken += 1
-            continue
-        if words[6] in ("", "0"):
-            none += 1
-            continue
-        t = parse_clock(words[1])
-        if math.isnan(t):
-            continue
-        if t < last - _DAY / 2:
-            day += _DAY
-        last = t
-        lat, lon, height, lacks = parse_place(words)
-        without += lacks
-        yield day + t, lat, lon, height
-    for count, why in (
-        (broken, "with a wrong checksum"),
-        (none, "without a fix (quality 0)"),
-    ):
-        if count:
-            notes.append(f"left out: {format_count(count, 'sentence')} {why}")
-    if without:
-        notes.append(f"{format_count(without, 'height')} above the sea: sentences without a geoid separation")
-
-
-def split_sentence(line: str) -> list[str]:
-    """Return the words of an NMEA sentence and 15 empty words; none if its checksum is wrong."""
-    body, star, rest = line[line.find("$") + 1 :].partition("*")
-    if not star or f"{reduce(xor, body.encode('latin-1'), 0):02X}" != rest[:2].upper():
-        return []
-    return [*body.split(","), *[""] * 15]
-
-
-def parse_place(words: Sequence[str]) -> tuple[float, float, float, bool]:
-    """Return latitude, longitude [deg] and height [m] of a GGA, and whether its geoid separation is missing.
-
-    Without a geoid separation the height is above the sea.
-    """
-    lat, lon = (parse_degrees(words[k], words[k + 1]) for k in (2, 4))
-    separation = parse_number(words[11])
-    lacks = math.isnan(separation)
-    return lat, lon, parse_number(words[9]) + (0.0 if lacks else separation), lacks
-
-
-def parse_clock(text: str) -> float:
-    """Return seconds of the day of hhmmss.sss; NaN if it is none."""
-    clock = parse_number(text)
-    return clock // 10_000 * 3600 + clock // 100 % 100 * 60 + clock % 100
-
-
-def parse_degrees(text: str, side: str) -> float:
-    """Return the degrees of ddmm.mmmm with N, S, E or W."""
-    value = parse_number(text)
-    if side not in ("N", "S", "E", "W"):
-        return math.nan
-    return (value // 100 + value % 100 / 60) * (-1.0 if side in "SW" else 1.0)
+    """Read NMEA 0183: GGA for time, position and height with geoid separation; quality 0 means no fix."""
+    places, told = read_places(path)
+    notes += told
+    yield from places.tolist()
 
 
 def _read_igc(path: Path, notes: list[str]) -> Iterator[Fix]:

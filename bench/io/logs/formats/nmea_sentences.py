@@ -10,6 +10,8 @@ import math
 from array import array
 from collections.abc import Sequence
 from datetime import date
+from functools import reduce
+from operator import xor
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +22,6 @@ from bench.core.words.exceptions import ConfigError
 from bench.core.words.wording import format_count
 from bench.io.logs.rows import MOST_ROWS, LogRows, to_horizontal
 from bench.io.logs.table_files import MOST_BYTES
-from bench.io.trajectories.track_files import parse_clock, parse_number, parse_place, split_sentence
 from bench.simulation.signals.gps_time import gps_seconds, leap_seconds
 from bench.simulation.signals.orbits import DAY
 
@@ -72,6 +73,19 @@ def read(form: str, path: Path, kind: str, topic: str | None) -> LogRows:
     return LogRows(rows[:, _DAY] + rows[:, _CLOCK] + ahead, values, tuple(notes))
 
 
+def read_places(path: Path) -> tuple[FloatArray, list[str]]:
+    """Return times [s], latitudes, longitudes [deg], heights [m] (N, 4) of the fixes of a file, and notes."""
+    rows, _, broken = _read_epochs(path)
+    fixed = rows[:, _QUALITY] > 0
+    left = (broken, "with a wrong checksum"), (int((~fixed).sum()), "without a fix (quality 0)")
+    notes = [f"left out: {format_count(count, 'sentence')} {why}" for count, why in left if count]
+    rows = rows[fixed]
+    if without := int(rows[:, _SEA].sum()):
+        notes.append(f"{format_count(without, 'height')} above the sea: sentences without a geoid separation")
+    t = rows[:, _DAY] - rows[:1, _DAY] + rows[:, _CLOCK]
+    return np.column_stack([t, rows[:, _LAT : _ALT + 1]]), notes
+
+
 def _read_epochs(path: Path) -> tuple[FloatArray, date | None, int]:
     """Return the epochs with a GGA (N, columns), the first date, and the number of damaged sentences.
 
@@ -87,11 +101,11 @@ def _read_epochs(path: Path) -> tuple[FloatArray, date | None, int]:
                 kind = line[line.find("$") + 3 :][:3]
                 if kind not in ("GGA", "RMC", "VTG") or "$" not in line:
                     continue
-                words = split_sentence(line.strip())
+                words = _split_sentence(line.strip())
                 if not words:
                     broken += 1
                     continue
-                t = now[_CLOCK] if kind == "VTG" else parse_clock(words[1])
+                t = now[_CLOCK] if kind == "VTG" else _parse_clock(words[1])
                 if math.isnan(t):
                     continue
                 if t != now[_CLOCK]:
@@ -125,7 +139,7 @@ def _keep(now: Sequence[float], flat: array[float]) -> bool:
 def _fill(now: list[float], kind: str, words: Sequence[str]) -> None:
     """Enter the words of a sentence into its epoch."""
     if kind == "GGA":
-        *now[_LAT : _ALT + 1], now[_SEA] = parse_place(words)
+        *now[_LAT : _ALT + 1], now[_SEA] = _parse_place(words)
         quality, now[_SATELLITES], now[_HDOP] = (parse_number(words[k]) for k in (6, 7, 8))
         now[_QUALITY] = 0.0 if math.isnan(quality) else quality
     elif kind == "RMC" and words[2] == "A":
@@ -140,3 +154,44 @@ def _parse_date(text: str) -> date | None:
         return date(2000 + int(text[4:6]), int(text[2:4]), int(text[:2]))
     except ValueError:
         return None
+
+
+def _split_sentence(line: str) -> list[str]:
+    """Return the words of an NMEA sentence and 15 empty words; none if its checksum is wrong."""
+    body, star, rest = line[line.find("$") + 1 :].partition("*")
+    if not star or f"{reduce(xor, body.encode('latin-1'), 0):02X}" != rest[:2].upper():
+        return []
+    return [*body.split(","), *[""] * 15]
+
+
+def _parse_place(words: Sequence[str]) -> tuple[float, float, float, bool]:
+    """Return latitude, longitude [deg] and height [m] of a GGA, and whether its geoid separation is missing.
+
+    Without a geoid separation the height is above the sea.
+    """
+    lat, lon = (_parse_degrees(words[k], words[k + 1]) for k in (2, 4))
+    separation = parse_number(words[11])
+    lacks = math.isnan(separation)
+    return lat, lon, parse_number(words[9]) + (0.0 if lacks else separation), lacks
+
+
+def _parse_clock(text: str) -> float:
+    """Return seconds of the day of hhmmss.sss; NaN if it is none."""
+    clock = parse_number(text)
+    return clock // 10_000 * 3600 + clock // 100 % 100 * 60 + clock % 100
+
+
+def _parse_degrees(text: str, side: str) -> float:
+    """Return the degrees of ddmm.mmmm with N, S, E or W."""
+    value = parse_number(text)
+    if side not in ("N", "S", "E", "W"):
+        return math.nan
+    return (value // 100 + value % 100 / 60) * (-1.0 if side in "SW" else 1.0)
+
+
+def parse_number(text: str | None) -> float:
+    """Return a number; NaN if the text is none."""
+    try:
+        return float(text or "nan")
+    except ValueError:
+        return math.nan
