@@ -317,6 +317,7 @@ FAR = "t_s,lat_deg,lon_deg,alt_m\n0,0.82,0.19,1200\n1,0.82,0.19,1200\n"
     [
         ("", "no columns for time: t_s or time_s; there are none"),
         (GOOD, "no rows"),
+        (GOOD[:-1], "his.csv: no rows"),
         ("t_s,lat_deg\n0,47\n", "lat without lon, alt"),
         ("t_s\n0\n", "it has no values of position, velocity or attitude"),
         ("t_s,lat_m,lon_deg,alt_m\n0,1,2,3\n", "column 'lat_m' must end in its unit: lat_deg"),

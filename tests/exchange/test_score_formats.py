@@ -260,6 +260,10 @@ def test_options_for_a_local_frame_are_rejected_for_other_files(run, tmp_path, c
             assert main(["score", str(path), str(folder), *option]) == 2
             said = " ".join(capsys.readouterr().err.split())
             assert f"{path.name}: {option[0][2:]}: only for positions in a local frame" in said
+    damaged = write_kitti(tmp_path, truth, rows)
+    damaged.write_bytes(damaged.read_bytes()[5:])
+    assert main(["score", str(damaged), str(folder), "--frame", "ned-frd"]) == 2
+    assert "frame" not in capsys.readouterr().err  # what is wrong with the file comes first
     for origin in ("91,11,500", "47,11", "47,11,500,0,0", "47,nan,500"):
         assert main(["score", str(write_tum(tmp_path, truth, rows)), str(folder), "--origin", origin]) == 2
         assert "--origin must be LAT,LON,HEIGHT" in capsys.readouterr().err

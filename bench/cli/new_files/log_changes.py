@@ -91,7 +91,7 @@ def _rename(
     if not new or not set(new) <= set(known) or set(new.values()) & (set(known) - set(new)):
         return {}
     kept = {new.get(one, one): there for one, there in given.items()}
-    row[key] = kept | {one: known[old] for old, one in new.items()}
+    row[key] = kept | {one: known[old] for old, one in new.items() if known[old] != one}
     return {(table, key): row[key]}
 
 

@@ -17,6 +17,7 @@ from bench.core.mathematics import earth, rotation
 from bench.core.mathematics.arrays import FloatArray
 from bench.core.records.data import NavSolution
 from bench.core.words.exceptions import ConfigError
+from bench.core.words.wording import format_count
 
 SE3, YAW, NONE = "se3", "yaw", "none"
 FREEDOM = {SE3: 6, YAW: 4, NONE: 0}
@@ -156,9 +157,8 @@ def align(kind: str, lla: FloatArray, target: FloatArray, shown: str) -> Alignme
     """
     known = np.isfinite(lla).all(axis=1) & np.isfinite(target).all(axis=1)
     if known.sum() < _FEWEST:
-        raise ConfigError(
-            f"{shown}: {known.sum()} epochs in common with the run; an alignment needs {_FEWEST}"
-        )
+        many = format_count(int(known.sum()), "epoch")
+        raise ConfigError(f"{shown}: {many} in common with the run; an alignment needs {_FEWEST}")
     origin = target[known][0]
     here, there = earth.local_ned(lla[known], origin), earth.local_ned(target[known], origin)
     C, thin = fit_rotation(kind, here - here.mean(axis=0), there - there.mean(axis=0))

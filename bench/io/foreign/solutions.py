@@ -95,10 +95,9 @@ def read_solution(path: Path, *, t_0: float = 0.0, placing: Placing = NOWHERE) -
         raise ConfigError(f"{shown}: {error.strerror or error}") from None
     if not stat.S_ISREG(kind) and not recognizes(path):
         raise ConfigError(f"{shown}: not a regular file")
-    foreign = read_foreign_rows(path)
-    if foreign is None or not foreign.frame:
-        reject_placing(shown, frame=placing.frame, origin=placing.origin)
-    if foreign is not None:
+    if (foreign := read_foreign_rows(path)) is not None:
+        if not foreign.frame:
+            reject_placing(shown, frame=placing.frame, origin=placing.origin)
         solution = make_solution(foreign, shown, placing)
         return replace(solution, t=solution.t - t_0)
     if path.suffix.lower() == ".nav":
@@ -108,6 +107,7 @@ def read_solution(path: Path, *, t_0: float = 0.0, placing: Placing = NOWHERE) -
         table = read_table(path, _ALL, _OPTIONAL, MOST_ROWS, aliases, _MOST_VALUES, structure)
         table.check_groups(_ALL, shown)
         _check_deviations(table, shown)
+    reject_placing(shown, frame=placing.frame, origin=placing.origin)
     clock = WEEK_CLOCK if path.suffix.lower() == ".nav" else ""
     t = table.columns["time"][:, 0]
     check_times(t, table.names["time"][0], shown)

@@ -288,7 +288,7 @@ def _open_csv(path: Path, most_rows: int) -> tuple[list[str], Batches]:
 
 
 def _find_bad_row(path: Path, wanted: Sequence[str]) -> str:
-    """Return a message on the first row of a CSV file with a wanted column that is not a number, or ""."""
+    """Return a message on the first row of a CSV file without a number in a wanted column, or ""."""
     if path.suffix.lower() in (".parquet", ".mat"):
         return ""
     from pyarrow import csv as pa_csv
@@ -312,7 +312,7 @@ def _find_bad_row(path: Path, wanted: Sequence[str]) -> str:
             for name, cell in zip(names, cells, strict=True):
                 if name in wanted and cell not in empty and not is_number(cell):
                     return f"row {row}: {name} = {cell[:40]!r} is not a number"
-    return ""
+    return "" if row else "no rows"
 
 
 def is_number(cell: str) -> bool:

@@ -137,7 +137,8 @@ def _fits(kind: str, rows: FloatArray) -> bool:
     if kind == _TUM:
         return bool((np.abs(np.linalg.norm(rows[:, 4:], axis=1) - 1.0) < _NORM_OFF).all())
     C = rows.reshape(-1, 3, 4)[:, :, :3]
-    return bool((np.abs(C @ C.transpose(0, 2, 1) - np.eye(3)) < _NORM_OFF).all())
+    with np.errstate(over="ignore", invalid="ignore"):
+        return bool((np.abs(C @ C.transpose(0, 2, 1) - np.eye(3)) < _NORM_OFF).all())
 
 
 def _find_oxts(folder: Path) -> Path | None:
