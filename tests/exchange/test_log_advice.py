@@ -245,6 +245,13 @@ def test_advice_that_leads_to_an_error_or_mends_nothing_changes_nothing(faked, c
     assert "with the advice these checks fail: imu_shift_s" in capsys.readouterr().out
 
 
+def test_what_cannot_be_written_is_told_with_its_value(faked):
+    path = faked("imu = {}\n", by_offset)
+    with pytest.raises(ConfigError, match=r"no line \[imu\]: set by hand \[imu\] time_offset_s = 0.1, or"):
+        apply_advice(str(path), Console())
+    assert path.read_text() == "imu = {}\n"
+
+
 def test_a_log_that_is_read_only_or_being_edited_is_not_changed(faked):
     path = faked("[imu]\n", by_offset)
     path.chmod(0o444)

@@ -40,23 +40,24 @@ def apply_advice(name: str, console: Console, **log_options: Any) -> log_pipelin
         changed = list_changes(tomllib.loads(text), [check.advice for check in advised], path.parent)
         if not changed:
             break
+        lines = [f"[{table}] {key} = {format_value(value)}" for (table, key), value in changed.items()]
         try:
             after = write_changes(text, changed)
         except ValueError as error:
-            raise ConfigError(f"{name}: {error}: change the keys by hand, or remove --apply") from None
+            raise ConfigError(f"{name}: {error}: set by hand {'; '.join(lines)}, or remove --apply") from None
         try:
             still = _try(path, after, log_options)
             mended = len(still) < len(_list_wrong(log)) or still.isdisjoint(one.name for one in advised)
             why = "" if mended else f"these checks fail: {', '.join(sorted(still))}"
-        except BenchError as error:
+        except ConfigError as error:
             why = error.messages[0]
         if why:
             say(f"{name} is not changed: with the advice {why}")
             break
         _replace(path, text, after)
         log = log_pipeline.read_log(name, **log_options)
-        for (table, key), value in changed.items():
-            say(f"{name}: [{table}] {key} = {format_value(value)}")
+        for line in lines:
+            say(f"{name}: {line}")
     return log
 
 
@@ -66,6 +67,8 @@ def _try(path: Path, text: str, log_options: Mapping[str, Any]) -> set[str]:
     try:
         durable.write(trial, text)
         return _list_wrong(log_pipeline.read_log(str(trial), **log_options))
+    except BenchError as error:
+        raise ConfigError(error.messages[0].replace(trial.stem, path.stem)) from None
     finally:
         trial.unlink(missing_ok=True)
 

@@ -158,8 +158,6 @@ def _name_velocity(known: Mapping[str, str], matrix: FloatArray) -> dict[str, st
 def write_changes(text: str, changed: Mapping[tuple[str, str], Any]) -> str:
     """Return the text of a log with keys changed: in their lines, or below the head of their table.
 
-    Comments and line ends stay as they are.
-
     Raises
     ------
     ValueError

@@ -20,10 +20,7 @@ from bench.pipeline.log_pipeline import Session
 
 _SILENT = 0.5  # an IMU silent for longer is a new start [s]
 _EARLY = 1.0 / 3.0  # part of a recording in which a start in the air is looked for [1]
-_SETTLES, _SHARE = (
-    60.0,
-    0.25,
-)  # time after a start that is not evaluated: at most [s], and of a short record [1]
+_SETTLES, _SHARE = 60.0, 0.25  # time after a start that is not evaluated: most [s], of a short record [1]
 _TUMBLES = 20.0  # angular rate of an impact [rad/s]
 _LIES = 2.0  # ground speed that a wreck does not reach [m/s]
 _WRECKED = 3.0  # time from an impact to rest [s]

@@ -100,11 +100,8 @@ def from_matrix(C_ab: ArrayLike) -> FloatArray:
 
 
 def fit_vectors(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the rotation (3, 3) that turns vectors a (K, 3) into b best, and the singular values (3,).
-
-    The solution of Wahba's problem by singular value decomposition, without a reflection.
-    """
-    left, s, right = np.linalg.svd(b.T @ a)
+    """Return the rotation (3, 3) that turns vectors a (K, 3) into b best, and the singular values (3,)."""
+    left, s, right = np.linalg.svd(b.T @ a)  # Wahba's problem, without a reflection
     return (left * [1.0, 1.0, np.linalg.det(left) * np.linalg.det(right)]) @ right, s
 
 
@@ -211,11 +208,5 @@ def list_signed_axes() -> list[FloatArray]:
 
 
 def write_axes(matrix: FloatArray, names: Sequence[str] = "xyz") -> str:
-    """Return the columns from which axes are taken, with their signs.
-
-    Examples
-    --------
-    >>> write_axes(np.eye(3)[[1, 0, 2]] * [[-1], [1], [1]])
-    '-y, x, z'
-    """
+    """Return the columns from which axes are taken, with their signs: ``-y, x, z``."""
     return ", ".join(f"{'-' if row.min() < 0 else ''}{names[int(np.argmax(np.abs(row)))]}" for row in matrix)

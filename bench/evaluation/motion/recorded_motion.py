@@ -33,8 +33,7 @@ class Check:
     text: str
     good: bool
     advice: Mapping[str, Any] = field(default_factory=dict)
-    """Key of the log: what to add to it, or the matrix or gain by which what is recorded is off; the velocity
-    of the receiver, which has no key, is ``gnss.velocity``."""
+    """Key of the log, or a gain or ``gnss.velocity``, which have none: what to add or to multiply by."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,12 +20,7 @@ from bench.core.records.instruments import INSTRUMENTS
 from bench.core.words.wording import format_number
 from bench.evaluation.motion.axis_search import AS_GIVEN
 from bench.evaluation.motion.fix_reach import find_reachable
-from bench.evaluation.motion.motion_checks import (
-    GRAVITY_OFF,
-    SIGMAS,
-    check_motion,
-    guess_force_unit,
-)
+from bench.evaluation.motion.motion_checks import GRAVITY_OFF, SIGMAS, check_motion, guess_force_unit
 from bench.evaluation.motion.recorded_motion import Check, RecordedMotion
 from bench.evaluation.motion.velocity_checks import GAIN_OFF, check_velocity
 

@@ -31,8 +31,7 @@ _THIN = 1e-3  # extent across a straight line, relative to the extent along it, 
 
 def is_origin(values: Sequence[float]) -> bool:
     """Return whether values are latitude, longitude [deg], height [m], and a heading [deg] if given."""
-    limits = (90.0, 360.0, 1e5, 360.0)
-    return len(values) in (3, 4) and all(abs(one) <= most for one, most in zip(values, limits, strict=False))
+    return len(values) in (3, 4) and bool((np.abs(values) <= [90.0, 360.0, 1e5, 360.0][: len(values)]).all())
 
 
 @dataclass(frozen=True, slots=True)

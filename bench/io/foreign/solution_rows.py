@@ -51,8 +51,8 @@ def reject_placing(shown: str, **given: object) -> None:
     """Raise ConfigError if values are given, by name, that place a local frame: positions have a place."""
     names = [name for name, value in given.items() if value is not None]
     if names:
-        use = "only for positions in a local frame, and those of this file have a place: leave"
-        raise ConfigError(f"{shown}: {', '.join(names)}: {use} {'it' if len(names) == 1 else 'them'} out")
+        use = "only for positions in a local frame, and those of this file have a place; leave out"
+        raise ConfigError(f"{shown}: {', '.join(names)}: {use} {' and '.join(names)}")
 
 
 def read_foreign_rows(path: Path) -> PoseRows | None:

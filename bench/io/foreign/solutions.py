@@ -36,11 +36,8 @@ from bench.io.trajectories.trajectory import KINDS, check_positions, normalize_q
 
 MOST_ROWS = 3_000_000
 _MOST_VALUES = 60_000_000  # rows times columns: half a gigabyte
-_LIMITS = (
-    (-0.5 * np.pi, 0.5 * np.pi),
-    (-2 * np.pi, 2 * np.pi),
-    (-np.inf, np.inf),
-)  # latitude, longitude, height
+_LIMITS = (-0.5 * np.pi, 0.5 * np.pi), (-2 * np.pi, 2 * np.pi), (-np.inf, np.inf)
+"""Of latitude, longitude, height."""
 _RADII = (6e6, 1e8)  # from the center of the Earth [m]
 _NEAR, _FAST = 1e5, 1e3  # a start farther off than [m] plus [m/s] times the time is in another unit
 

@@ -87,10 +87,7 @@ KINDS: Sequence[tuple[FileKind, Callable[[bytes], bool]]] = (
     (FileKind("a 7-Zip archive", _UNPACK), _begins(b"7z\xbc\xaf\x27\x1c")),
     (FileKind("a bzip2 archive", _UNPACK), _begins(b"BZh")),
     (FileKind("an xz archive", _UNPACK), _begins(b"\xfd7zXZ\x00")),
-    (
-        FileKind("a PDF document", "export the data as CSV"),
-        _begins(b"%PDF"),
-    ),
+    (FileKind("a PDF document", "export the data as CSV"), _begins(b"%PDF")),
     (FileKind("a picture", "export the data as CSV"), _begins(b"\x89PNG", b"\xff\xd8\xff", b"GIF8")),
     (
         FileKind("a MATLAB v7.3 (HDF5) file", "name it FILE.mat, then: bench new log FILE.mat"),

@@ -216,9 +216,8 @@ def read_estimate(path: Path, instance: int | None) -> OwnEstimate:
     log = _open_log(path)
     if not {"GLOBAL_POSITION_INT", "ATTITUDE"} <= log.messages.keys() or instance is not None:
         raise ConfigError(f"{path.name}: one estimate at most: GLOBAL_POSITION_INT and ATTITUDE")
-    place, turn, fixes = (log.messages.get(one) for one in ("GLOBAL_POSITION_INT", "ATTITUDE", "GPS_RAW_INT"))
-    assert place is not None
-    assert turn is not None
+    place, turn = log.messages["GLOBAL_POSITION_INT"], log.messages["ATTITUDE"]
+    fixes = log.messages.get("GPS_RAW_INT")
     undulation = 0.0
     if fixes is not None:
         known = np.flatnonzero((fixes["fix_type"] >= 3) & (fixes["alt_ellipsoid"] != 0))

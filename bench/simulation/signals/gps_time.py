@@ -10,7 +10,6 @@ EPOCH = date(1980, 1, 6)
 """First day of GPS time."""
 UNIX_TO_GPS = 315964800.0
 """From 1970 to 1980-01-06 [s]."""
-_COUNTED = 1e8, 4e9  # times that may count from 1980 [s]: lower ones count from a start or within a week
 
 # First days of UTC after each leap second since the start of GPS time, IERS Bulletin C.
 _LEAPS = tuple(
@@ -39,8 +38,8 @@ def gps_seconds(year: int, month: int, day: int, second: float = 0.0) -> float:
 
 
 def may_be_gps(seconds: float) -> bool:
-    """Return whether a time [s] may count from 1980-01-06: in years in which there are receivers."""
-    return _COUNTED[0] < seconds < _COUNTED[1]
+    """Return whether a time [s] may count from 1980-01-06, and not from a start or within a week."""
+    return 1e8 < seconds < 4e9
 
 
 def to_date(seconds: float) -> date:

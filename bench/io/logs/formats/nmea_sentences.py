@@ -51,14 +51,6 @@ def read(form: str, path: Path, kind: str, topic: str | None) -> LogRows:
             f"{path.name}: no RMC sentence with a date and a fix, which times of GGA need; let the receiver "
             "write both"
         )
-    notes = []
-    if broken:
-        notes.append(f"{path.name}: left out: {format_count(broken, 'sentence')} with a wrong checksum")
-    if above := int(np.nansum(rows[:, _SEA])):
-        notes.append(
-            f"{path.name}: {format_count(above, 'height')} above the sea, without a geoid separation, "
-            "used as ellipsoidal"
-        )
     values = {
         "lla": np.column_stack([np.deg2rad(rows[:, [_LAT, _LON]]), rows[:, _ALT]]),
         "quality": rows[:, _QUALITY],
@@ -70,20 +62,26 @@ def read(form: str, path: Path, kind: str, topic: str | None) -> LogRows:
     if np.isfinite(rows[:, _SPEED]).any():
         values["vel_n"] = to_horizontal(rows[:, _SPEED], np.deg2rad(rows[:, _COURSE]))
     ahead = leap_seconds(day)
-    return LogRows(rows[:, _DAY] + rows[:, _CLOCK] + ahead, values, tuple(notes))
+    notes = tuple(f"{path.name}: {note}" for note in _list_notes(rows, broken))
+    return LogRows(rows[:, _DAY] + rows[:, _CLOCK] + ahead, values, notes)
 
 
 def read_places(path: Path) -> tuple[FloatArray, list[str]]:
     """Return times [s], latitudes, longitudes [deg], heights [m] (N, 4) of the fixes of a file, and notes."""
     rows, _, broken = _read_epochs(path)
     fixed = rows[:, _QUALITY] > 0
-    left = (broken, "with a wrong checksum"), (int((~fixed).sum()), "without a fix (quality 0)")
-    notes = [f"left out: {format_count(count, 'sentence')} {why}" for count, why in left if count]
-    rows = rows[fixed]
-    if without := int(rows[:, _SEA].sum()):
-        notes.append(f"{format_count(without, 'height')} above the sea: sentences without a geoid separation")
+    rows, none = rows[fixed], int((~fixed).sum())
+    notes = [f"left out: {format_count(none, 'sentence')} without a fix (quality 0)"] * (none > 0)
+    notes += _list_notes(rows, broken)
     t = rows[:, _DAY] - rows[:1, _DAY] + rows[:, _CLOCK]
     return np.column_stack([t, rows[:, _LAT : _ALT + 1]]), notes
+
+
+def _list_notes(rows: FloatArray, broken: int) -> list[str]:
+    left = f"left out: {format_count(broken, 'sentence')} with a wrong checksum"
+    above = int(np.nansum(rows[:, _SEA]))
+    told = f"{format_count(above, 'height')} above the sea: sentences without a geoid separation"
+    return [left] * (broken > 0) + [told] * (above > 0)
 
 
 def _read_epochs(path: Path) -> tuple[FloatArray, date | None, int]:

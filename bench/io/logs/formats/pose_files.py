@@ -130,6 +130,7 @@ def _identify(path: Path) -> str:
     return kind if kind and _fits(kind, np.array(rows)) else ""
 
 
+@np.errstate(all="ignore")  # of damaged numbers
 def _fits(kind: str, rows: FloatArray) -> bool:
     """Return whether rows of numbers can be of a kind."""
     if kind == _OXTS:
@@ -137,8 +138,7 @@ def _fits(kind: str, rows: FloatArray) -> bool:
     if kind == _TUM:
         return bool((np.abs(np.linalg.norm(rows[:, 4:], axis=1) - 1.0) < _NORM_OFF).all())
     C = rows.reshape(-1, 3, 4)[:, :, :3]
-    with np.errstate(over="ignore", invalid="ignore"):
-        return bool((np.abs(C @ C.transpose(0, 2, 1) - np.eye(3)) < _NORM_OFF).all())
+    return bool((np.abs(C @ C.transpose(0, 2, 1) - np.eye(3)) < _NORM_OFF).all())
 
 
 def _find_oxts(folder: Path) -> Path | None:
