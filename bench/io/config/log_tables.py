@@ -152,8 +152,7 @@ class LocalTable(FileTable):
     frame: str | None = None
     """Axes of local positions and of the body, such as "ned-frd". Default: by the format, or "enu-flu"."""
     origin: Annotated[tuple[float, ...], ROWS, AfterValidator(_check_origin)] | None = None
-    """Latitude, longitude [deg], height [m] of a local frame, and the heading of its north axis
-    [deg] unless it is 0."""
+    """Latitude, longitude [deg], height [m] of a local frame, heading [deg] of its north axis."""
 
 
 class GnssTable(LocalTable):

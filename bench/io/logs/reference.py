@@ -95,10 +95,8 @@ def read_reference(
         values: dict[str, FloatArray] = {}
     else:
         rows, q_nb, sd_phi, placed = _read_rows(spec, placing)
-        if placed is None:
-            reject_placing(shown, align=wanted)
-        else:
-            kind = _choose_alignment(spec, placed)
+        kind = NONE if placed is None else _choose_alignment(spec, placed)
+        reject_placing(shown, align=wanted if placed is None else None)
         rows = meet_week(unwrap_week(rows, shown), origin, origin + last)
         t, values = rows.t, dict(rows.values)
         lla, vel_n = values["lla"], values.get("vel_n", np.full((len(t), 3), np.nan))
