@@ -24,6 +24,7 @@ import pytest
 import bench
 from bench.core.records.specs import EstimatorChoice, EvaluationWindow, Guard
 from bench.core.words.exceptions import ConfigError
+from bench.core.words.wording import format_value
 from bench.experiments.campaigns import (
     batches,
     campaign_file,
@@ -40,7 +41,6 @@ from bench.experiments.campaigns.batches import ATTEMPTS, Lost, compute
 from bench.experiments.campaigns.binned import BinnedRuns
 from bench.experiments.campaigns.campaign_file import (
     CampaignSpec,
-    format_value,
     is_campaign_file,
     read_campaign_file,
 )

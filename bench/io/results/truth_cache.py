@@ -42,6 +42,7 @@ SHARED = ("t", "lla", "vel_n", "q_nb")
 
 SOURCES = (
     "bench/simulation/flight",
+    "bench/io/logs/formats/nmea_sentences.py",
     "bench/io/logs/mat_files",
     "bench/io/logs/table_files.py",
     "bench/io/trajectories/motion_commands.py",
