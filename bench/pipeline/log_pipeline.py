@@ -223,16 +223,22 @@ def _navigate(log: RecordedLog, outages: Sequence[float] | None, places: int, st
     drifts = list[dict[str, Any]]()
     own = {label for label, one in log.estimators.items() if isinstance(one, AutopilotEstimator)}
 
+    def run_cut(label: str, duration: float, count: int) -> list[OutageDrift]:
+        try:
+            return session.run_outages(log.estimators[label], label, duration, count)
+        except ConfigError:
+            if outages is not None:
+                raise
+            return []  # nobody asked for it
+
     def measure_drifts(label: str, solution: NavSolution) -> None:
         found = (
             ((one.duration, [one]) for one in used_fixes.measure_outages(solution, session.fixes, data, gaps))
             if label in own
-            else (
-                (duration, session.run_outages(log.estimators[label], label, duration, count))
-                for duration, count in cuts.items()
-            )
+            else ((duration, run_cut(label, duration, count)) for duration, count in cuts.items())
         )
-        drifts.extend([make_drift_row(label, duration, rows, spec.assumed.imu) for duration, rows in found])
+        imu = spec.assumed.imu
+        drifts.extend([make_drift_row(label, duration, rows, imu) for duration, rows in found if rows])
 
     answers = navigate_all(log.estimators, data, session.initial, spec.assumed, stages, measure_drifts)
     judged = dict[str, Judged]()
@@ -378,7 +384,8 @@ class Session:
         if self.reference is not None:
             return {}
         room = float(self.fixes.t[-1]) - self.first
-        return {one: min(most, int(room // one)) for one in CUTS if 2.0 * one <= room}
+        least = float(np.median(np.diff(self.fixes.t))) / (1.0 - _WHOLE)  # so that a fix is near its end
+        return {one: min(most, int(room // one)) for one in CUTS if least <= one <= 0.5 * room}
 
     def check_room(self, duration: float) -> None:
         """Raise ConfigError if an outage does not fit into the evaluated part of the recording."""

@@ -575,6 +575,21 @@ def test_an_outage_that_does_not_fit_is_refused(folder, capsys, tmp_path):
     assert not (tmp_path / "o").exists()
 
 
+def test_fixes_that_are_far_apart_have_no_short_outage_unless_asked_for(folder, tmp_path, capsys):
+    """With 6 s between fixes none is near the end of 10 s."""
+    text = (folder / "gnss.csv").read_text().splitlines()
+    log = rewritten(folder, tmp_path)
+    (tmp_path / "gnss.csv").unlink()
+    every = round(6.0 / np.median(np.diff([float(row.partition(",")[0]) for row in text[1:]])))
+    (tmp_path / "gnss.csv").write_text("\n".join([text[0], *text[1::every]]) + "\n")
+    out = ["-o", str(tmp_path / "o"), "--no-rrd"]
+    assert main(["navigate", str(log), *out]) == 0
+    durations = {row["duration_s"] for row in json.loads((tmp_path / "o/result.json").read_text())["outages"]}
+    assert 10.0 not in durations
+    assert main(["navigate", str(log), *out, "--outages", "10", "--force"]) == 2
+    assert "--outages: no sound fix at the end of any" in capsys.readouterr().err
+
+
 # --- what a file cannot be ----------------------------------------------------------------------------
 
 
@@ -598,6 +613,7 @@ ROW = b"0.%d,0,0,0,0,0,-9.8\n"
         ("imu.csv", HEADER + ROW % 1 + b"0.2,0,zero,0,0,0,-9.8\n", "imu.csv: row 2: "),
         ("imu.csv", HEADER + ROW % 1 + b"0.2,0,0\n", "imu.csv: row 2: "),
         ("imu.csv", HEADER + ROW % 1 + ROW % 1, "its times never increase"),
+        ("imu.csv", HEADER + ROW % 1 + ROW % 5, "has 2.5 rows of an IMU a second, too few"),
         ("imu.csv", HEADER + ROW % 1 + b"nan,0,0,0,0,0,-9.8\n", "row 2: its time is not a finite number"),
         ("imu.csv", HEADER.replace(b"gyro_x_rad_s", b"gyro_x_m") + ROW % 1, "must end in its unit"),
         ("imu.csv", b"\xff\xfe" + bytes(range(256)) * 10, "imu.csv: not a text file in UTF-8"),

@@ -195,6 +195,11 @@ def _make_imu(rows: LogRows, spec: LogSpec, origin: float) -> ImuData:
         raise ConfigError(f"{spec.imu.path.name}: its times never increase")
     median = float(np.median(forward, overwrite_input=True))
     del forward
+    if median > 1.0 / _LEAST_RATE:
+        raise ConfigError(
+            f"{spec.imu.path.name}: has {1.0 / median:.3g} rows of an IMU a second, too few to navigate (at "
+            f"least {_LEAST_RATE:g}); record it faster"
+        )
 
     def make_intervals(block: slice) -> FloatArray:
         dt = np.diff(t[block], prepend=t[max(block.start - 1, 0)])
@@ -250,6 +255,7 @@ def _check_length(imu: ImuData, spec: LogSpec) -> None:
     )
 
 
+_LEAST_RATE = 5.0  # of an IMU [Hz]
 _LIMITS = (("latitude", "deg", -90.0, 90.0), ("longitude", "deg", -180.0, 360.0), ("height", "m", -1e3, 1e5))
 
 
