@@ -40,11 +40,12 @@ def read(form: str, path: Path, kind: str, topic: str | None) -> LogRows:
         If the file cannot be read, or contains no GGA or no date: one line.
     """
     if kind != "gnss":
+        read(form, path, "gnss", topic)  # a file without fixes is of no use anywhere
         use = "name the file in [gnss] or [reference] of a log"
         raise ConfigError(f"{path.name}: no {kind.upper()} in NMEA sentences; {use}")
     rows, day, broken = _read_epochs(path)
     if not len(rows):
-        wrong = f", and {format_count(broken, 'sentence')} with a wrong checksum" if broken else ""
+        wrong = f", and {format_count(broken, 'sentence')} without a right checksum" if broken else ""
         raise ConfigError(f"{path.name}: no GGA sentence with a time{wrong}")
     if day is None:
         raise ConfigError(
@@ -96,7 +97,7 @@ def _read_epochs(path: Path) -> tuple[FloatArray, date | None, int]:
         check_file(path, path.name, MOST_BYTES)
         with path.open(encoding="latin-1") as file:
             while line := file.readline(_LONGEST):
-                kind = line[line.find("$") + 3 :][:3]
+                kind = line[line.find("$") + 3 :].partition(",")[0]
                 if kind not in ("GGA", "RMC", "VTG") or "$" not in line:
                     continue
                 words = _split_sentence(line.strip())
