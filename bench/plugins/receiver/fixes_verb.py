@@ -54,9 +54,10 @@ def solve_fixes(
     observations += [file for file in files if kinds[file] == "rtcm" and has_observations(file, str(file))]
     navigation = [file for file, kind in kinds.items() if file not in observations]
     navigation = navigation or [file for file in observations if kinds[file] in ("ubx", "rtcm")]
-    for found, words in ((observations, "observations"), (navigation, "navigation")):
+    other = "; give the RINEX navigation file of the day, too"
+    for found, words, more in ((observations, "observations", ""), (navigation, "navigation", other)):
         if not found:
-            raise ConfigError(f"{', '.join(map(str, files))}: no file of {words} is among them")
+            raise ConfigError(f"{', '.join(map(str, files))}: no file of {words} is among them{more}")
     solved = solve_rinex(observations, navigation, **options)
     figures = solved.figures()
     title = f"{solved.name}: {solved.day}, {len(solved.fixes)} epochs"

@@ -152,10 +152,11 @@ def read_ubx_navigation(path: Path, shown: str | None = None) -> NavigationFile:
         If it has none, or no time.
     """
     shown = path.name if shown is None else shown
-    near, found, waiting = None, BroadcastParts(), list[bytes]()
+    near, found, waiting, ranges = None, BroadcastParts(), list[bytes](), False
     for kind, message in read_messages(path, shown, LAYOUTS):
         if message is None:
             continue
+        ranges = ranges or kind == RAWX
         if kind == SFRBX:
             waiting.append(message)
         elif (time := find_time(message)) is not None:
@@ -166,9 +167,9 @@ def read_ubx_navigation(path: Path, shown: str | None = None) -> NavigationFile:
             waiting.clear()
     nav = found.make_file(shown)
     if not any(len(one) for sets in nav.list_sets().values() for one in sets):
-        raise ConfigError(
-            f"{shown}: has no whole ephemeris (UBX-RXM-SFRBX) in it; give the navigation file of the day, too"
-        )
+        both = ", and no raw measurements (UBX-RXM-RAWX); let the receiver write both"
+        advice = "; give the navigation file of the day, too" if ranges else both
+        raise ConfigError(f"{shown}: has no whole ephemeris (UBX-RXM-SFRBX) in it{advice}")
     return nav
 
 

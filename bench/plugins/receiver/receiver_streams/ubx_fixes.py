@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from bench.core.mathematics.arrays import FloatArray
 from bench.core.words.exceptions import ConfigError
+from bench.io.logs.file_kinds import describe_unreadable
 from bench.io.logs.rows import MOST_ROWS, LogRows
 from bench.plugins.receiver.receiver_streams.ubx import FrameLayout, read_messages
 from bench.simulation.signals.gps_time import gps_seconds, leap_seconds
@@ -46,7 +47,7 @@ _DIFFERENTIAL, _SINGLE = 4.0, 5.0
 def read(form: str, path: Path, kind: str, topic: str | None) -> LogRows:
     """Read the fixes of a UBX stream; ``quality`` is that of RTKLIB: 1 fixed, 2 float, 4 DGPS, 5 single."""
     if kind != "gnss":
-        raise ConfigError(f"{path.name}: a UBX recording contains fixes, not the rows of an {kind}")
+        raise ConfigError(describe_unreadable(path, f"no {kind.upper()} in a UBX recording"))
     found: dict[bytes, list[bytes]] = {_PVT: [], _PRECISE: []}
     damaged = 0
     for which, message in read_messages(path, path.name, _LAYOUTS):
