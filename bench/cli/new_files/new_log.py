@@ -91,7 +91,7 @@ def new_log(name: str, *, console: Console, rates: str | None = None) -> None:
         return
     if is_bag(path) or path.suffix.lower() in _BAGS:
         found = {kind: FoundSensor(path, {}, ()) for kind in ("imu", "gnss")}
-    elif form is not None and form in FORMATS and FORMATS[form].recognizes is not None:
+    elif form is not None and form in FORMATS and (FORMATS[form].recognizes or FORMATS[form].fixes):
         asked = tuple(note for note in formats.read(form, path, "imu", None).notes if "topic = " in note)
         found = {"imu": FoundSensor(path, {}, asked, form=form), "gnss": FoundSensor(path, {}, (), form=form)}
     elif path.suffix.lower() == TEXT and not has_names(path):

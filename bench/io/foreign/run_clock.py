@@ -63,8 +63,8 @@ class RunClock:
             best = _RUN, 0.0
         if overlap(best) < 0.0:
             return 0.0, (
-                f"its times, {first:.9g} to {last:.9g} s, do not overlap with the run, {self.begin:g} to "
-                f"{self.end:g} s; --t0 {first - self.begin:.9g} puts its first row at the start"
+                f"its times, {first:.13g} to {last:.13g} s, do not overlap with the run, {self.begin:g} to "
+                f"{self.end:g} s; --t0 {first - self.begin:.13g} puts its first row at the start"
             )
         if best[0] == _RUN:
             return 0.0, ""

@@ -20,6 +20,8 @@ SBET_COLUMNS = 17
 """Doubles of a row of an SBET."""
 _TO_RINEX = "convert it to RINEX, for example by convbin of RTKLIB, then: bench fixes OBS NAV"
 _UNPACK = "unpack it first"
+_TO_GPX = "it has fixes but no IMU; convert it to GPX to fly its track"
+_AS_TABLE = "write a table of it: bench guide log-format"
 
 
 NOVATEL, NOVATEL_BINARY = "a NovAtel ASCII log", "a NovAtel binary log"
@@ -83,20 +85,45 @@ def is_hdf5(head: bytes) -> bool:
 
 KINDS: Sequence[tuple[FileKind, Callable[[bytes], bool]]] = (
     (FileKind("a gzip archive", _UNPACK), _begins(b"\x1f\x8b")),
+    (
+        FileKind("an Office document", "save its table as CSV"),
+        _matches(rb"(?s)\APK\x03\x04.{26}(?:\[Content_Types\]|_rels/|docProps/|xl/)"),
+    ),
     (FileKind("a ZIP archive", _UNPACK), _begins(b"PK\x03\x04")),
     (FileKind("a 7-Zip archive", _UNPACK), _begins(b"7z\xbc\xaf\x27\x1c")),
     (FileKind("a bzip2 archive", _UNPACK), _begins(b"BZh")),
     (FileKind("an xz archive", _UNPACK), _begins(b"\xfd7zXZ\x00")),
     (FileKind("a PDF document", "export the data as CSV"), _begins(b"%PDF")),
     (FileKind("a picture", "export the data as CSV"), _begins(b"\x89PNG", b"\xff\xd8\xff", b"GIF8")),
+    (FileKind("a video", "export its telemetry as CSV"), lambda head: head[4:8] == b"ftyp"),
     (
         FileKind("a MATLAB v7.3 (HDF5) file", "name it FILE.mat, then: bench new log FILE.mat"),
         is_hdf5,
     ),
     (
-        FileKind("a Garmin FIT file", "it has fixes but no IMU; convert it to GPX to fly its track"),
+        FileKind("a Garmin FIT file", _TO_GPX),
         lambda head: head[8:12] == b".FIT",
     ),
+    (FileKind("a Garmin TCX file", _TO_GPX), _matches(rb"<TrainingCenterDatabase\b")),
+    (FileKind("a Racelogic VBO file", _TO_GPX), _matches(rb"(?m)^\[column names\]")),
+    (FileKind("a file of subtitles", _TO_GPX), _matches(rb"\A\s*\d+\s+\d\d:\d\d:\d\d,\d{3} --> ")),
+    (
+        FileKind(
+            "an ArduPilot log converted to text", "use the .bin it was made from: bench new log FILE.bin"
+        ),
+        _matches(rb"\AFMT, *128, "),
+    ),
+    (
+        FileKind("a text of rostopic echo", "use the bag it was made from: bench new log BAG"),
+        _matches(rb"\Aheader: *\r?\n +(?:seq|stamp):"),
+    ),
+    (FileKind("a Gyroflow log", f"it has gyros but no fixes; {_AS_TABLE}"), _begins(b"GYROFLOW IMU LOG")),
+    (
+        FileKind("a recording of VectorNav messages", f"their times are not in it; {_AS_TABLE}"),
+        _matches(rb"\A\$VN[A-Z]{3},"),
+    ),
+    # those of gpsd, {"class":..., may be above what a receiver sent
+    (FileKind("a JSON file", _AS_TABLE), _matches(rb"\A\s*(?:\{\s*\"(?!class\")|\[\s*\{)")),
     (
         FileKind("a MAVLink telemetry log", "name it FILE.tlog, then: bench new log FILE.tlog"),
         lambda head: _is_frame(head, b"\xfe\xfd"),
@@ -136,7 +163,7 @@ KINDS: Sequence[tuple[FileKind, Callable[[bytes], bool]]] = (
     (FileKind(RINEX, "bench fixes OBS NAV computes its fixes"), _matches(rb"\A.{60}RINEX VERSION / TYPE")),
     (
         FileKind(NMEA, 'it has fixes but no IMU; name it in [gnss] or [reference] of a log: file = "FILE"'),
-        _matches(rb"\A[^$\n]{0,80}\$(?:G[PNLAB]|BD)[A-Z]{3},"),
+        _matches(rb"\A[^$\n]{0,80}\$(?:G[PNLABQI]|BD)[A-Z]{3}[A-Z0-9]{0,2},"),
     ),
     (
         FileKind("a GPX or KML track", 'it has no IMU; fly it: trajectory = "FILE" in a profile'),

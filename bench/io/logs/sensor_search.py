@@ -34,7 +34,8 @@ _COUNTS = ("satellites", "hdop", "vdop")  # columns without a unit
 
 def guess_time(t: FloatArray, longest: float = _OTHER_STEP) -> str:
     """Return the unit with which steps are shorter than ``longest`` [s]."""
-    step = float(np.nanmedian(np.abs(np.diff(t[:, 0])))) / longest if len(t) > 1 else 0.0
+    steps = np.abs(np.diff(t[:, 0]))
+    step = float(np.nanmedian(steps)) / longest if np.isfinite(steps).any() else 0.0
     return next((unit for most, unit in ((1.0, "s"), (1e3, "ms"), (1e6, "us")) if step < most), "ns")
 
 
@@ -222,7 +223,7 @@ def find_beside(imu: FoundSensor | None, path: Path, beside: Sequence[Path]) -> 
                     apart.append(match)
                     continue
             except ConfigError as error:
-                if place == path:
+                if place == path and imu is not None:
                     raise
                 wrong.append(error)  # or another file that is not a table
                 continue
@@ -239,8 +240,10 @@ def find_beside(imu: FoundSensor | None, path: Path, beside: Sequence[Path]) -> 
         if message := describe_unreadable(path):
             raise ConfigError(message)
         names = list_columns(path)
+        if not names:
+            raise ConfigError(f"{path.name}: is empty, or has comments alone")
         there = ", ".join(names[:30])[:300]
-        if 2 * sum(map(is_number, names)) > len(names):
+        if 2 * sum(map(is_number, names)) > len(names) or (len(names) == 1 and path.suffix not in TABLES[1:]):
             raise ConfigError(
                 f"{path.name}: no line of column names; its first line is {there}. Write one, such as "
                 "t_s,gyro_x_rad_s,...: bench guide log-format"
@@ -249,10 +252,10 @@ def find_beside(imu: FoundSensor | None, path: Path, beside: Sequence[Path]) -> 
         if missing[0] == "gnss":
             named = ", ".join(place.name for place in beside[:10])
             where = f", there or in a table beside it ({named or 'there is none'})"
+        elif "gnss" in found and found["gnss"].columns:
+            where = f", only fixes: {', '.join(found['gnss'].columns.values())}"
         because = f"; {wrong[0]}" if wrong else "; name them in a log of your own: bench guide log-format"
-        raise ConfigError(
-            f"{path.name}: no columns found for {missing[0]}{where}; it has {there or 'none'}{because}"
-        )
+        raise ConfigError(f"{path.name}: no columns found for {missing[0]}{where}; it has {there}{because}")
     return found
 
 
@@ -379,6 +382,8 @@ def match_columns(
     """Return the columns of a sensor among the names with a prefix; None if a required column is missing."""
     inside = [name.removeprefix(prefix) for name in names if name.startswith(prefix)]
     plain = {name: split_name(name) for name in inside}
+    if any(_find_name(p, plain, {}) is None for one in quantities if one.needed for p in one.patterns):
+        return None
     columns: dict[str, str] = {}
     guessed: list[str] = []
     for quantity in quantities:

@@ -29,7 +29,7 @@ MOST_BYTES = 2_000_000_000
 _MOST_HEADER = 1_000_000  # longest line, the header included [byte]
 _BRACKETS = re.compile(r"\([^()]*\)|\[[^\[\]]*\]")
 _BLOCK = 1 << 20  # read at a time [byte]
-_COMMENTS = ("#", "%", "//")  # how lines above the header begin
+_ABOVE = re.compile(r"\s*(#|%|//|sep=|[^,;\t]+:[,;\t])")  # lines above the header: comments, key: value
 
 UNITS = {
     "time": ("s",),
@@ -222,7 +222,8 @@ class _TableHeader(NamedTuple):
 def _read_header(path: Path) -> _TableHeader:
     """Return the header of a CSV file with columns separated by a comma, a semicolon or a tab.
 
-    Empty lines and comments (#, %, //) above it do not count; the last comment is the header if rows follow.
+    Empty lines, comments (#, %, //) and keys with a colon above it do not count; the last comment is the
+    header if rows follow.
     A line of units in brackets below it belongs to it.
     """
     lines, comment, above = 0, "", False
@@ -230,14 +231,14 @@ def _read_header(path: Path) -> _TableHeader:
         with path.open(encoding="utf-8-sig", newline="") as file:
             while line := file.readline(_MOST_HEADER):
                 above = above or line.strip() == "FILE_INFO"  # of SensorConnect, to the line DATA_START
-                if line.strip() and not line.lstrip().startswith(_COMMENTS) and not above:
+                if line.strip() and not (above or _ABOVE.match(line)):
                     break
                 above = above and line.strip() != "DATA_START"
                 lines, comment = lines + 1, line.strip() or comment
             below = file.readline(_MOST_HEADER)
     except UnicodeDecodeError:
         raise ConfigError(describe_unreadable(path, "not a text file in UTF-8")) from None
-    last, separator = comment.lstrip("".join(_COMMENTS)), _find_separator(line)
+    last, separator = comment.lstrip("#%/"), _find_separator(line)
     cells, named = _split(line, separator), _split(last, _find_separator(last))
     if comment and len(cells) == len(named) and _count_numbers(named) < 0.5 <= _count_numbers(cells):
         return _TableHeader(named, lines, separator)

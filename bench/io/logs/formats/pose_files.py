@@ -54,7 +54,7 @@ def read(form: str, path: Path, kind: str, topic: str | None) -> LogRows:
     """Read geodetic positions of a trajectory as the rows of a receiver."""
     if kind != "gnss":
         use = "use it in [reference] of a log or in bench score"
-        raise ConfigError(f"{path.name}: no {kind.upper()} in a trajectory; {use}")
+        raise ConfigError(f"{path.name}: no {kind.upper()} is read from a trajectory; {use}")
     found = read_poses(path)
     if found.frame:
         raise ConfigError(

@@ -40,7 +40,8 @@ def read(form: str, path: Path, kind: str, topic: str | None) -> LogRows:
     """Read the rows of a KF-GINS or RTKLIB file."""
     if form == "rtklib":
         if kind != "gnss":
-            raise ConfigError(f"{path.name}: a solution of RTKLIB contains fixes, not the rows of an {kind}")
+            use = 'name it in [gnss] or [reference] of a log: file = "FILE"'
+            raise ConfigError(f"{path.name}: a solution of RTKLIB has no {kind.upper()}; {use}")
         return _read_rtklib(path)
     if kind == "baro":
         raise ConfigError(f"{path.name}: KF-GINS has no file for a barometer")
