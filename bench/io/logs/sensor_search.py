@@ -237,7 +237,7 @@ def find_beside(imu: FoundSensor | None, path: Path, beside: Sequence[Path]) -> 
     if "imu" in found and "gnss" not in found and alone:
         found["gnss"] = FoundSensor(alone[0], {}, ())
     if missing := [kind for kind in ("imu", "gnss") if kind not in found]:
-        if message := describe_unreadable(path):
+        if path.suffix.lower() != ".mat" and (message := describe_unreadable(path)):
             raise ConfigError(message)
         names = list_columns(path)
         if not names:
@@ -382,7 +382,7 @@ def match_columns(
     """Return the columns of a sensor among the names with a prefix; None if a required column is missing."""
     inside = [name.removeprefix(prefix) for name in names if name.startswith(prefix)]
     plain = {name: split_name(name) for name in inside}
-    if any(_find_name(p, plain, {}) is None for one in quantities if one.needed for p in one.patterns):
+    if any(find_name(p, plain, {}) is None for one in quantities if one.needed for p in one.patterns):
         return None
     columns: dict[str, str] = {}
     guessed: list[str] = []
