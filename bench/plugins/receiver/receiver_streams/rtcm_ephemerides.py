@@ -16,7 +16,6 @@ import numpy as np
 
 from bench.core.mathematics.arrays import IntArray
 from bench.core.records.orbit_sets import BEIDOU, GALILEO, GLONASS, GPS
-from bench.core.words.exceptions import ConfigError
 from bench.plugins.receiver.receiver_streams.subframes import FDMA, FNAV, BroadcastParts, Fields, decode
 from bench.plugins.receiver.rinex.ephemerides import NavigationFile
 from bench.plugins.receiver.rinex.lines import BEIDOU_LATE
@@ -165,10 +164,4 @@ def read_rtcm_navigation(path: Path, shown: str | None = None) -> NavigationFile
         system = MESSAGES[number][0]
         if time := find_time(number, found, near):
             parts.add_whole(FNAV if number == 1045 else system, int(found["sat"]), found, time)
-    nav = parts.make_file(shown)
-    if not any(len(one) for sets in nav.list_sets().values() for one in sets):
-        raise ConfigError(
-            f"{shown}: has no ephemeris with a date (RTCM 1019, 1020, 1042, 1045, 1046) in it; "
-            "give the navigation file of the day, too: bench fixes OBS NAV"
-        )
-    return nav
+    return parts.make_file(shown, "ephemeris with a date (RTCM 1019, 1020, 1042, 1045, 1046)")

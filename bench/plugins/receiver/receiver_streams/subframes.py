@@ -23,6 +23,7 @@ from bench.core.records.orbit_sets import (
     GlonassSets,
     KeplerSets,
 )
+from bench.core.words.exceptions import ConfigError
 from bench.plugins.receiver.rinex.ephemerides import NavigationFile
 from bench.plugins.receiver.rinex.lines import BEIDOU_LATE
 from bench.simulation.signals.gps_time import leap_seconds, to_date
@@ -31,7 +32,8 @@ from bench.simulation.signals.orbits import DAY, WEEK
 Fields = Sequence[tuple[str, int, float]]
 """Name, number of bits (negative: signed), and unit of the last bit; what has no name is passed over."""
 
-_ANGLES = ("mean_anomaly", "delta_n", "node_0", "i_0", "perigee", "node_rate", "i_rate")  # in semicircles
+ANGLES = ("mean_anomaly", "delta_n", "node_0", "i_0", "perigee", "node_rate", "i_rate")
+"""Fields that messages have in semicircles."""
 _ALPHA_BETA: Fields = [
     *((f"alpha_{k}", -8, 2.0**p) for k, p in enumerate((-30, -27, -24, -24))),
     *((f"beta_{k}", -8, 2.0**p) for k, p in enumerate((11, 14, 16, 16))),
@@ -104,7 +106,7 @@ def decode(bits: int, width: int, fields: Fields, *, magnitude: bool = False) ->
         if sign:
             value = -(value & ((1 << (size - 1)) - 1)) if magnitude else value - (1 << size)
         if name:
-            found[name] = value * unit * (pi if name in _ANGLES else 1.0)
+            found[name] = value * unit * (pi if name in ANGLES else 1.0)
     return found
 
 
@@ -169,8 +171,11 @@ class BroadcastParts:
             self._seen.add((which, *row))
             self._sets[which].append(row)
 
-    def make_file(self, shown: str) -> NavigationFile:
-        """Return the ephemerides found."""
+    def make_file(self, shown: str, wanted: str, advice: str = "") -> NavigationFile:
+        """Return the ephemerides found; raise ConfigError without any, which names the wanted messages."""
+        if not any(self._sets.values()):
+            usual = "; give the navigation file of the day, too: bench fixes OBS NAV"
+            raise ConfigError(f"{shown}: has no {wanted} in it{advice or usual}")
         g = np.array(self._sets[GLONASS]).reshape(-1, 3 + len(STATE))
         whole = [g[:, k].astype(np.int64) for k in (0, 2)]
         return NavigationFile(

@@ -165,12 +165,8 @@ def read_ubx_navigation(path: Path, shown: str | None = None) -> NavigationFile:
             for one in waiting if near is not None else ():
                 _take_subframe(found, one, near or 0.0)
             waiting.clear()
-    nav = found.make_file(shown)
-    if not any(len(one) for sets in nav.list_sets().values() for one in sets):
-        both = ", and no raw measurements (UBX-RXM-RAWX); let the receiver write both"
-        advice = "; give the navigation file of the day, too" if ranges else both
-        raise ConfigError(f"{shown}: has no whole ephemeris (UBX-RXM-SFRBX) in it{advice}")
-    return nav
+    both = ", and no raw measurements (UBX-RXM-RAWX); let the receiver write both"
+    return found.make_file(shown, "whole ephemeris (UBX-RXM-SFRBX)", "" if ranges else both)
 
 
 def _take_subframe(found: BroadcastParts, message: bytes, near: float) -> None:
