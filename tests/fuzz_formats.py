@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import gzip
 import tempfile
 from collections.abc import Callable
@@ -10,10 +11,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from bench.core.words.exceptions import ConfigError
 from bench.io.logs import formats
 from bench.io.logs.mat_files.mat_file import read_mat
 from bench.io.trajectories.track_files import read_track
+from bench.plugins.receiver.receiver_streams import sbf_fixes
 from bench.plugins.receiver.receiver_streams.rtcm import read_rtcm
+from bench.plugins.receiver.receiver_streams.sbf import read_sbf, read_sbf_navigation
 from bench.plugins.receiver.receiver_streams.ubx import read_ubx
 from bench.plugins.receiver.rinex.lines import find_kind
 from bench.plugins.receiver.rinex.observations import read_observations
@@ -76,6 +80,10 @@ def _cut_rtcm() -> bytes:
     return gnss_file("walk-2025-08-28.rtcm3").read_bytes()
 
 
+def _cut_sbf() -> bytes:
+    return gnss_file("mosaic-x5.sbf").read_bytes() + gnss_file("walk-2025-08-28.sbf").read_bytes()
+
+
 def _cut_novatel() -> bytes:
     return gnss_file("novatel-rawimusx.gps").read_bytes()
 
@@ -98,6 +106,13 @@ def _read_observations(path: Path) -> object:
 
 def _read_orbits(path: Path) -> object:
     return make_tables([read_precise_orbits(path)])
+
+
+def _read_sbf(path: Path) -> object:
+    for read in (read_sbf_navigation, lambda p: sbf_fixes.read("sbf", p, "gnss", None)):
+        with contextlib.suppress(ConfigError):
+            read(path)
+    return read_sbf(path)
 
 
 def _read_terrain(path: Path) -> object:
@@ -137,6 +152,7 @@ READERS: dict[str, Format] = {
     "rinex-z": Format("a.05o.Z", lambda: compress(_cut_rinex()), _read_observations, False),
     "crinex": Format("a.crx", _cut_crinex, _read_observations, True),
     "ubx": Format("a.ubx", _cut_ubx, read_ubx, False),
+    "sbf": Format("a.sbf", _cut_sbf, _read_sbf, False),
     "rtcm": Format("a.rtcm3", _cut_rtcm, read_rtcm, False),
     "novatel": Format(
         "a.gps", _cut_novatel, lambda path: formats.read("novatel", path, "imu", "EPSON-G320"), False

@@ -164,10 +164,10 @@ class GnssTable(LocalTable):
     file: str = ""
     """Path, relative to the log; left out with observations."""
     observations: Annotated[tuple[str, ...], ROWS] = ()
-    """RINEX, UBX or RTCM 3 files of its ranges, a list of paths, in place of a file. Their times are in GPS
-    time, seconds since 1980-01-06."""
+    """RINEX, UBX, SBF or RTCM 3 files of its ranges, a list of paths, in place of a file. Their times are in
+    GPS time, seconds since 1980-01-06."""
     navigation: Annotated[tuple[str, ...], ROWS] = ()
-    """RINEX navigation files, UBX with RXM-SFRBX or RTCM 3, with ``observations``."""
+    """RINEX navigation files, UBX with RXM-SFRBX, SBF or RTCM 3, with ``observations``."""
 
     position_m: _Arm3 = (0.0, 0.0, 0.0)
     """Position of the antenna from the same point."""

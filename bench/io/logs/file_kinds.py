@@ -22,12 +22,13 @@ _TO_RINEX = "convert it to RINEX, for example by convbin of RTKLIB, then: bench 
 _UNPACK = "unpack it first"
 _TO_GPX = "it has fixes but no IMU; convert it to GPX to fly its track"
 _AS_TABLE = "write a table of it: bench guide log-format"
+_RECEIVER = "put it beside a table of an IMU, or compute fixes from its ranges: bench fixes FILE"
 
 
 NOVATEL, NOVATEL_BINARY = "a NovAtel ASCII log", "a NovAtel binary log"
 GNSSLOGGER = "an Android GnssLogger file"
 UBX, RINEX, NMEA = "a u-blox UBX recording", "a RINEX file", "a file of NMEA 0183 sentences"
-RTCM = "a recording of RTCM 3 messages"
+RTCM, SBF = "a recording of RTCM 3 messages", "a Septentrio SBF recording"
 SBET = "an SBET trajectory"
 """Names of the kinds that bench reads somewhere."""
 
@@ -50,6 +51,14 @@ def _is_rtcm(head: bytes) -> bool:
         match.start(): int.from_bytes(match[0][1:]) for match in re.finditer(rb"(?s)\xd3[\0-\3].", head)
     }
     return any(at + 6 + length in starts for at, length in starts.items())
+
+
+def _is_sbf(head: bytes) -> bool:
+    """Return whether a file begins with an SBF block, or two follow each other: mark, CRC, number, length."""
+    starts = {
+        match.start(): int.from_bytes(match[1], "little") for match in re.finditer(rb"(?s)\$@.{4}(..)", head)
+    }
+    return head.startswith(b"$@") or any(length and at + length in starts for at, length in starts.items())
 
 
 def _is_sbet(head: bytes) -> bool:
@@ -138,10 +147,10 @@ KINDS: Sequence[tuple[FileKind, Callable[[bytes], bool]]] = (
     ),
     (FileKind(RTCM, "compute fixes from its ranges: bench fixes FILE"), _is_rtcm),
     (
-        FileKind(UBX, "put it beside a table of an IMU, or compute fixes from its ranges: bench fixes FILE"),
+        FileKind(UBX, _RECEIVER),
         _matches(rb"\A.{0,200}\xb5\x62[\x01\x02\x0a\x0d\x10\x21\x27]"),
     ),
-    (FileKind("a Septentrio SBF recording", _TO_RINEX), _begins(b"$@")),
+    (FileKind(SBF, _RECEIVER), _is_sbf),
     (
         FileKind(
             NOVATEL_BINARY, "bench new log FILE; for fixes from its ranges, convert it to RINEX by convbin"

@@ -1,1 +1,1 @@
-"""A GNSS receiver: RINEX, SP3, UBX and GnssLogger files, fixes from ranges, and their pages."""
+"""A GNSS receiver: RINEX, SP3, UBX, SBF and GnssLogger files, fixes from ranges, and their pages."""

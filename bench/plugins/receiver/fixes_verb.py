@@ -18,8 +18,10 @@ from bench.io.results import check_file
 from bench.plugins.receiver import rinex_fixes
 from bench.plugins.receiver.receiver_settings import solve_rinex
 from bench.plugins.receiver.receiver_streams.rtcm import has_observations
+from bench.plugins.receiver.receiver_streams.sbf import has_ranges
 from bench.plugins.receiver.rinex.lines import find_kind
 
+_STREAMS = {"rtcm": has_observations, "sbf": has_ranges}  # that may have ephemerides alone
 _MOST = 8  # satellites on the screen; all are in the report
 
 
@@ -51,9 +53,10 @@ def solve_fixes(
         check_recording(recording, force=force)
     kinds = {file: find_kind(file, str(file)) for file in files}
     observations = [file for file, kind in kinds.items() if kind in ("observations", "ubx", "gnsslogger")]
-    observations += [file for file in files if kinds[file] == "rtcm" and has_observations(file, str(file))]
+    streams = [file for file in files if kinds[file] in _STREAMS]
+    observations += [file for file in streams if _STREAMS[kinds[file]](file, str(file))]
     navigation = [file for file, kind in kinds.items() if file not in observations]
-    navigation = navigation or [file for file in observations if kinds[file] in ("ubx", "rtcm")]
+    navigation = navigation or [file for file in observations if kinds[file] in ("ubx", *_STREAMS)]
     other = "; give the RINEX navigation file of the day, too"
     for found, words, more in ((observations, "observations", ""), (navigation, "navigation", other)):
         if not found:

@@ -106,10 +106,10 @@ def fixes(files: tuple[Path, ...], as_json: bool, **options: Any) -> int:
     """Compute GNSS fixes from RINEX files.
 
     FILES are observations of one receiver and navigation files of the day, in any order: RINEX 2, 3 or 4,
-    also packed (.gz, .Z, Compact RINEX), u-blox UBX, RTCM 3, Android GnssLogger, and SP3 for precise orbits.
-    UBX with RXM-SFRBX and RTCM 3 with ephemerides need no navigation file. The position is computed from the
-    code, the velocity from the Doppler if the file contains it. Errors are relative to --truth, else to the
-    position in the header.
+    also packed (.gz, .Z, Compact RINEX), u-blox UBX, SBF, RTCM 3, Android GnssLogger, and SP3 for precise
+    orbits. UBX with RXM-SFRBX, SBF and RTCM 3 with ephemerides need no navigation file. The position is
+    computed from the code, the velocity from the Doppler if the file contains it. Errors are relative to
+    --truth, else to the position in the header.
 
     \b
     Example:

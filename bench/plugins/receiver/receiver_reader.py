@@ -15,7 +15,7 @@ from bench.plugins.receiver.rinex.lines import find_kind
 
 
 def recognizes(path: Path) -> bool:
-    """Return whether a file is RINEX, SP3, UBX, RTCM 3 or a YUMA almanac."""
+    """Return whether a file is RINEX, SP3, UBX, SBF, RTCM 3 or a YUMA almanac."""
     try:
         find_kind(path, path.name)
     except ConfigError:

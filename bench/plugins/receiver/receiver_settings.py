@@ -42,7 +42,7 @@ def solve_rinex(
     Parameters
     ----------
     observations : str, Path or sequence of them
-        RINEX, UBX or RTCM 3 files of one receiver, packed or not.
+        RINEX, UBX, SBF or RTCM 3 files of one receiver, packed or not.
     navigation : str, Path or sequence of them
         RINEX navigation files and SP3 files.
     systems : str, optional

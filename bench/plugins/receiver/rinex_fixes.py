@@ -25,6 +25,7 @@ from bench.plugins.receiver.fix_truth import Truth
 from bench.plugins.receiver.ionosphere_choice import choose_ionosphere
 from bench.plugins.receiver.receiver_streams.android_log import read_android
 from bench.plugins.receiver.receiver_streams.rtcm import read_rtcm
+from bench.plugins.receiver.receiver_streams.sbf import read_sbf
 from bench.plugins.receiver.receiver_streams.ubx import read_ubx
 from bench.plugins.receiver.rinex.ephemerides import NavigationFile
 from bench.plugins.receiver.rinex.lines import find_kind
@@ -376,7 +377,7 @@ def solve_files(
 
 def _read(path: Path, phase: bool, nav: NavigationFile) -> ObservationFile:
     kind = find_kind(path, str(path))
-    if read := {"ubx": read_ubx, "gnsslogger": read_android}.get(kind):
+    if read := {"ubx": read_ubx, "sbf": read_sbf, "gnsslogger": read_android}.get(kind):
         return read(path, str(path))
     if kind == "rtcm":
         times = np.concatenate([one.t for sets in nav.list_orbits().values() for one in sets])

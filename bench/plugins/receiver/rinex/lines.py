@@ -12,12 +12,12 @@ import numpy as np
 
 from bench.core.files.file_checks import check_file
 from bench.core.words.exceptions import ConfigError
-from bench.io.logs.file_kinds import GNSSLOGGER, HEAD, NMEA, RINEX, RTCM, UBX, recognize
+from bench.io.logs.file_kinds import GNSSLOGGER, HEAD, NMEA, RINEX, RTCM, SBF, UBX, recognize
 from bench.plugins.receiver.rinex.compact import LONGEST, CompactText
 from bench.plugins.receiver.rinex.unpacking import MOST_BYTES, UnpackingError, open_text
 from bench.simulation.signals.gps_time import gps_seconds
 
-_READ = {UBX: "ubx", RINEX: "", RTCM: "rtcm", GNSSLOGGER: "gnsslogger"}  # kinds of `recognize`
+_READ = {UBX: "ubx", RINEX: "", RTCM: "rtcm", SBF: "sbf", GNSSLOGGER: "gnsslogger"}  # kinds of `recognize`
 _LOOKED_AT = 65536  # characters: UBX may follow the messages of a program that recorded it
 _MOST_REASONS = 20
 BEIDOU_LATE = 14.0  # GPS time minus BeiDou time [s], RINEX 3.05, 4.1.4
@@ -157,7 +157,7 @@ def open_lines(path: Path, shown: str) -> Iterator[Lines]:
 
 
 def find_kind(path: Path, shown: str) -> str:
-    """Return the kind of a file: "observations", "navigation", "sp3", "ubx", "rtcm" or "gnsslogger".
+    """Return the kind of a file: "observations", "navigation", "sp3", "ubx", "rtcm", "sbf" or "gnsslogger".
 
     Raises
     ------
@@ -170,7 +170,7 @@ def find_kind(path: Path, shown: str) -> str:
         foreign = recognize(first[:HEAD])
         if foreign and foreign.name not in _READ and not (foreign.name == NMEA and b"\xb5b" in first):
             raise ConfigError(f"{shown}: is {foreign.name}; {foreign.advice}")
-        if foreign and foreign.name in (RTCM, GNSSLOGGER):
+        if foreign and foreign.name in (RTCM, SBF, GNSSLOGGER):
             return _READ[foreign.name]
         if b"\xb5b" in first and not re.search(rb"RINEX VERS|^#", first[:80]):
             return "ubx"
@@ -181,7 +181,7 @@ def find_kind(path: Path, shown: str) -> str:
         kinds = {"O": "observations", "N": "navigation", "G": "navigation", "L": "navigation"}
         kind = kinds.get(line[20:21].upper()) if line[60:80].strip() == "RINEX VERSION / TYPE" else None
         if kind is None:
-            raise ConfigError(f"{shown}: unknown format. Supported: RINEX, SP3, UBX, RTCM 3, GnssLogger")
+            raise ConfigError(f"{shown}: unknown format. Supported: RINEX, SP3, UBX, RTCM 3, SBF, GnssLogger")
         return kind
 
 

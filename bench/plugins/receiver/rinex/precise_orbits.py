@@ -17,6 +17,7 @@ from bench.core.mathematics.arrays import FloatArray
 from bench.core.records.orbit_sets import GLONASS, LETTERS, SYSTEM_NAMES, OrbitTable
 from bench.core.words.exceptions import ConfigError
 from bench.plugins.receiver.receiver_streams.rtcm_ephemerides import read_rtcm_navigation
+from bench.plugins.receiver.receiver_streams.sbf import read_sbf_navigation
 from bench.plugins.receiver.receiver_streams.ubx import read_ubx_navigation
 from bench.plugins.receiver.rinex.ephemerides import NavigationFile, merge_navigation, read_navigation
 from bench.plugins.receiver.rinex.lines import BEIDOU_LATE, Lines, find_kind, open_lines, read_calendar
@@ -225,7 +226,7 @@ def read_orbits(paths: Sequence[Path]) -> NavigationFile:
         If a file is neither of these, or nothing can be read in any of them.
     """
     kinds = {path: find_kind(path, str(path)) for path in paths}
-    streams = {"ubx": read_ubx_navigation, "rtcm": read_rtcm_navigation}
+    streams = {"ubx": read_ubx_navigation, "rtcm": read_rtcm_navigation, "sbf": read_sbf_navigation}
     broadcast, wrong = list[NavigationFile](), list[ConfigError]()
     for path in (path for path in paths if kinds[path] != "sp3"):
         try:
