@@ -223,19 +223,14 @@ def _navigate(log: RecordedLog, outages: Sequence[float] | None, places: int, st
     drifts = list[dict[str, Any]]()
     own = {label for label, one in log.estimators.items() if isinstance(one, AutopilotEstimator)}
 
-    def run_cut(label: str, duration: float, count: int) -> list[OutageDrift]:
-        try:
-            return session.run_outages(log.estimators[label], label, duration, count)
-        except ConfigError:
-            if outages is not None:
-                raise
-            return []  # nobody asked for it
-
     def measure_drifts(label: str, solution: NavSolution) -> None:
         found = (
             ((one.duration, [one]) for one in used_fixes.measure_outages(solution, session.fixes, data, gaps))
             if label in own
-            else ((duration, run_cut(label, duration, count)) for duration, count in cuts.items())
+            else (
+                (one, session.run_outages(log.estimators[label], label, one, count, outages is not None))
+                for one, count in cuts.items()
+            )
         )
         imu = spec.assumed.imu
         drifts.extend([make_drift_row(label, duration, rows, imu) for duration, rows in found if rows])
@@ -394,7 +389,7 @@ class Session:
             raise ConfigError(f"--outages: {duration:g} s do not fit into {self.first:.1f} to {last:.1f} s")
 
     def run_outages(
-        self, one: estimator.Estimator, label: str, duration: float, places: int
+        self, one: estimator.Estimator, label: str, duration: float, places: int, asked: bool = True
     ) -> list[OutageDrift]:
         """Return the drift over an outage at several places; the filter runs once for each.
 
@@ -403,7 +398,7 @@ class Session:
         Raises
         ------
         ConfigError
-            If none of them ends with a sound fix or an epoch of the reference.
+            If none of them ends with a sound fix or an epoch of the reference, and the user ``asked`` for it.
         """
         t = self.fixes.t
         drifts = []
@@ -430,7 +425,7 @@ class Session:
                 continue
             span = float(t[before]), float(errors.t[-1])
             drifts.append(OutageDrift.measure(*span, errors.pos_n[-1], moved.cov[-1], own))
-        if not drifts:
+        if not drifts and asked:
             known = "no sound fix" if self.reference is None else "[reference] is not known"
             raise ConfigError(
                 f"--outages: {known} at the end of any of {places} cuts of {duration:g} s, "
