@@ -385,6 +385,24 @@ def test_a_shift_of_the_clocks_counts_beyond_20_ms_and_five_deviations(shift, sd
     assert (found.good, "add " in found.text) == (good, not good)
 
 
+@pytest.mark.parametrize(
+    ("late", "late_sd", "key", "told"),
+    [
+        (0.0, 0.001, "imu.time_offset_s", "add +0.200 to [imu] time_offset_s"),
+        (0.0, np.inf, "imu.time_offset_s", ", or its velocity alone is late: -0.200 to [gnss]"),
+        (-0.05, 0.04, "imu.time_offset_s", ", or its velocity alone is late: -0.200 to [gnss]"),
+        (-0.15, 0.04, "gnss.velocity_offset_s", "or rather its velocity alone is late: add -0.200 to [gnss]"),
+        (-0.15, 0.005, "imu.time_offset_s", "add +0.200 to [imu] time_offset_s"),
+    ],
+)
+def test_a_clock_is_told_from_a_late_velocity_by_the_positions(late, late_sd, key, told):
+    """They say how late the velocity is; where that is rather the shift of the clock, it is the velocity."""
+    found = motion_checks.check_shift(fitted(0.001, shift=0.2), 0.0, late, late_sd)
+    assert (list(found.advice), abs(found.advice[key])) == ([key], pytest.approx(0.2))
+    assert told in found.text
+    assert ("alone is late" in found.text) == (abs(0.2 + late) < 5.0 * late_sd)
+
+
 def test_an_arm_that_is_off_is_told_by_axis():
     """0.6 m of one axis, known to 0.1 m; an axis that is known to 0.3 m only has no figure."""
     fit = fitted(0.1, arm_x=0.6, arm_y=0.3, arm_z=-0.1)
@@ -536,7 +554,7 @@ def test_the_tilt_of_the_mean_force_is_told_in_degrees(monkeypatch):
         motion = SimpleNamespace(
             t=np.arange(3.0), gyro=np.zeros((3, 3)), accel=np.tile(force, (3, 1)), moves=True,
             take_velocities=lambda: (), find_standstills=lambda: [], velocity_shift_sd=0.0,
-            velocity_shift=0.0, assumed_sd=1.0,
+            velocity_shift=0.0, velocity_shift_left=0.0, assumed_sd=1.0,
         )  # fmt: skip
         found = motion_checks.check_motion(motion, np.zeros(3))[0][0]
         assert (found.name, found.good) == ("level_tilt_deg", good)

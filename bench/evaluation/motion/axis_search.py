@@ -32,6 +32,7 @@ _RISE = 0.15  # by which it must rise for each residual: they fall by this share
 _TURNS = (25.0, 0.5)  # rms rate in rms rates of the course beyond which the unit of the gyros is in doubt
 _RATES = (1.0, 0.01)  # the same for the rms rate itself [rad/s]
 _STEPS = (-0.6, -0.3, 0.3, 0.6)  # to either side of an offset: a gait fits near every step, too [s]
+_ROUNDS = 4  # from step to step
 _DEGREE = np.pi / 180.0
 
 
@@ -141,9 +142,12 @@ def search(motion: RecordedMotion, antenna_b: FloatArray, plain: Explained) -> E
     for one in ranked[:_KEPT]:
         for offset in sorted({first, *offsets}):
             best = choose(best, replace(one.hypothesis, offset=offset))
-    h = best.hypothesis
-    near = h.offset + float(best.fit.values[SHIFT])
-    for away in _STEPS:
-        for down in (1.0, -1.0):
-            best = choose(best, replace(h, offset=near + away, down=down))
+    for _ in range(_ROUNDS):
+        before, h = best, best.hypothesis
+        near = h.offset + float(best.fit.values[SHIFT])
+        for away in _STEPS:
+            for down in (1.0, -1.0):
+                best = choose(best, replace(h, offset=near + away, down=down))
+        if best is before:
+            break
     return best

@@ -88,7 +88,7 @@ def check_motion(motion: RecordedMotion, antenna_b: FloatArray) -> tuple[list[Ch
             Check("velocity_ratio_down", -1.0, text, False, {"gnss.velocity": np.diag([1.0, 1.0, -1.0])})
         )
     found += [
-        check_shift(fit, h.offset, motion.velocity_shift_sd),
+        check_shift(fit, h.offset, motion.velocity_shift_left, motion.velocity_shift_sd),
         check_rate_gain(fit, h.unit),
         check_force_gain(fit),
     ]
@@ -135,10 +135,10 @@ def _unknown(name: str, what: str) -> Check:
     return Check(name, None, f"imu: the motion does not show {what}", True)
 
 
-def check_shift(fit: MotionFit, offset: float = 0.0, late_sd: float = 0.0) -> Check:
+def check_shift(fit: MotionFit, offset: float = 0.0, late: float = 0.0, late_sd: float = 0.0) -> Check:
     """Check the time shift between IMU and fixes against the motion of the fixes, beyond an ``offset`` [s].
 
-    ``late_sd`` is the standard deviation [s] to which velocities are known to be as late as the positions.
+    ``late`` [s] is to be added to the times of the velocities alone, by the positions, with ``late_sd``.
     """
     shift, sd = _take(fit, "shift")
     shift += offset
@@ -151,9 +151,15 @@ def check_shift(fit: MotionFit, offset: float = 0.0, late_sd: float = 0.0) -> Ch
         advice = {"imu.time_offset_s": shift}
         if _LEAP[0] <= round(abs(shift)) <= _LEAP[1] and abs(abs(shift) - round(abs(shift))) < _LEAP_OFF:
             text += f": one clock is UTC, the other GPS time ({round(abs(shift))} leap seconds)"
+        may_be_late, by_velocity = (
+            late_sd > abs(shift + late) / SIGMAS,
+            f"{-shift:+.3f} to [gnss] velocity_offset_s",
+        )
+        if may_be_late and abs(shift + late) < abs(late):
+            text += f", or rather its velocity alone is late: add {by_velocity}"
+            return Check("imu_shift_s", shift, text, False, {"gnss.velocity_offset_s": -shift})
         text += f": add {shift:+.3f} to [imu] time_offset_s"
-        if late_sd > abs(shift) / SIGMAS:
-            text += f", or its velocity alone is late: {-shift:+.3f} to [gnss] velocity_offset_s"
+        text += f", or its velocity alone is late: {by_velocity}" if may_be_late else ""
     return Check("imu_shift_s", shift, text, not off, advice)
 
 

@@ -48,7 +48,8 @@ class RecordedMotion:
     vel_n: FloatArray  # (M, 3) [m/s]; NaN without
     most_rate: float  # largest angular rate of any sample [rad/s]
     velocity_shift: float = 0.0  # to add to the times of the velocities [s]
-    velocity_shift_sd: float = 0.0  # of it; 0 without velocities [s]
+    velocity_shift_left: float = 0.0  # what seems to be left of it, and its sd; 0 without velocities [s]
+    velocity_shift_sd: float = 0.0
     assumed_sd: float = np.nan  # of the velocities along an axis, as filters take it: their median [m/s]
 
     @classmethod

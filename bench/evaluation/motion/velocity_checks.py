@@ -60,14 +60,14 @@ def check_velocity(motion: RecordedMotion) -> tuple[list[Check], RecordedMotion]
     bad = abs(shift) > max(SHIFT_OFF, SIGMAS * sd)
     if not np.isfinite(shift) or (not bad and sd > SHIFT_OFF):
         text = "gnss: the motion does not show whether its velocities are on time"
-        late_sd = sd if np.isfinite(sd) else np.inf
-        return [*found, Check("velocity_shift_s", None, text, True)], replace(
-            motion, velocity_shift_sd=late_sd
-        )
+        left, late_sd = (shift, sd) if np.isfinite(shift) and np.isfinite(sd) else (0.0, np.inf)
+        motion = replace(motion, velocity_shift_left=left, velocity_shift_sd=late_sd)
+        return [*found, Check("velocity_shift_s", None, text, True)], motion
     text += f": add {shift:+.3f} to [gnss] velocity_offset_s" if bad else ""
     advice = {"gnss.velocity_offset_s": shift} if bad else {}
     found.append(Check("velocity_shift_s", shift, text, not bad, advice))
-    return found, replace(motion, velocity_shift=shift if bad else 0.0, velocity_shift_sd=sd)
+    taken, left = (shift, 0.0) if bad else (0.0, shift)
+    return found, replace(motion, velocity_shift=taken, velocity_shift_left=left, velocity_shift_sd=sd)
 
 
 def _make_paths(t: FloatArray, lla: FloatArray, vel_n: FloatArray) -> tuple[FloatArray, FloatArray]:
