@@ -1,7 +1,7 @@
 """Mistakes, single and in pairs, in recordings of random motions: whether the checks of a log name them.
 
-``python -m tests.evaluation.diagnosis [--draws N] [--seed S] [--sound N] [--pairs]`` prints the table of the
-guide. A mistake is named if the advice of the checks, followed, leaves a recording without it, and no line
+``python -m tests.evaluation.diagnosis [--draws N] [--seed S] [--sound N] [--pairs]`` prints the shares named.
+A mistake is named if the advice of the checks, followed, leaves a recording without it, and no line
 remains that is not its own. It is not shown if what is left of it is unknown in the sound recording, too.
 """
 
