@@ -38,7 +38,7 @@ ANSWERS: list[tuple[str, str, int, tuple[str, ...]]] = [
     ("pixel6.nmea", "navigate", 2, ("no IMU in NMEA sentences; name the file in [gnss]",)),
     ("trimble_r2.nmea", "fly", 0, ("stands once", "Next: bench run")),
     ("pynmea2_data.log", "navigate", 2, ("no RMC sentence with a date", "let the receiver write both")),
-    ("motion_def_90deg.csv", "navigate", 2, ("no columns found for imu; it has ini lat (deg)", OWN_LOG)),
+    ("motion_def_90deg.csv", "navigate", 2, ("is a motion definition of gnss-ins-sim", "fly it: trajectory")),
     (
         "pixel10_gnsslogger.txt",
         "fixes",
@@ -66,7 +66,7 @@ ANSWERS: list[tuple[str, str, int, tuple[str, ...]]] = [
         "almanac_yuma.txt",
         "fixes",
         2,
-        ("unknown format. Supported: RINEX, SP3, UBX, RTCM 3, SBF, GnssLogger",),
+        ("is a YUMA almanac; it has no ranges", 'almanac = "FILE" in a [sky]'),
     ),
     ("pyins_gnss.csv", "navigate", 2, ("no columns found for imu, only fixes: time, lat, lon, alt, VN",)),
     ("flightradar_ek97.csv", "fly", 2, ("no columns for time: t_s or time_s; there are Timestamp, UTC",)),

@@ -20,6 +20,7 @@ SBET_COLUMNS = 17
 """Doubles of a row of an SBET."""
 _TO_RINEX = "convert it to RINEX, for example by convbin of RTKLIB, then: bench fixes OBS NAV"
 _UNPACK = "unpack it first"
+_FLY = 'it has no IMU; fly it: trajectory = "FILE" in a profile'
 _TO_GPX = "it has fixes but no IMU; convert it to GPX to fly its track"
 _AS_TABLE = "write a table of it: bench guide log-format"
 _RECEIVER = "put it beside a table of an IMU, or compute fixes from its ranges: bench fixes FILE"
@@ -175,8 +176,13 @@ KINDS: Sequence[tuple[FileKind, Callable[[bytes], bool]]] = (
         _matches(rb"\A[^$\n]{0,80}\$(?:G[PNLABQI]|BD)[A-Z]{3}[A-Z0-9]{0,2},"),
     ),
     (
-        FileKind("a GPX or KML track", 'it has no IMU; fly it: trajectory = "FILE" in a profile'),
+        FileKind("a GPX or KML track", _FLY),
         _matches(rb"<(?:gpx|kml)\b"),
+    ),
+    (FileKind("a motion definition of gnss-ins-sim", _FLY), _begins(b"ini lat (deg),ini lon (deg)")),
+    (
+        FileKind("a YUMA almanac", 'it has no ranges; simulate its satellites: almanac = "FILE" in a [sky]'),
+        _matches(rb"\A\*+ Week \d+ almanac"),
     ),
     (
         FileKind(
