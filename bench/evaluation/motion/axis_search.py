@@ -115,15 +115,21 @@ def list_units(motion: RecordedMotion) -> list[float]:
 def search(motion: RecordedMotion, antenna_b: FloatArray, plain: Explained) -> Explained:
     """Return the hypothesis that fits best; as given unless another fits far better."""
     offsets = find_offsets(motion) or [0.0]
-    first = 0.0 if min(map(abs, offsets)) <= 1.0 else offsets[0]
+    firsts = [0.0] if min(map(abs, offsets)) <= 1.0 else []
+    firsts += [one for one in offsets if abs(one) > 1.0][:1]
     rough = [
         Hypothesis(gyro, accel, unit, first, down)
+        for first in firsts
         for unit in list_units(motion)
         for gyro, accel in list_axes()
         for down in (1.0, -1.0)
     ]
-    few = {down: _find(motion, first, down).take_liveliest(_STRETCHES) for down in (1.0, -1.0)}
-    tried = [explain(motion, antenna_b, one, few[one.down], 1) for one in rough]
+    few = {
+        (first, down): _find(motion, first, down).take_liveliest(_STRETCHES)
+        for first in firsts
+        for down in (1.0, -1.0)
+    }
+    tried = [explain(motion, antenna_b, one, few[one.offset, one.down], 1) for one in rough]
     ranked = sorted((one for one in tried if one is not None), key=lambda one: one.cost)
     best = plain
     moved = float(
@@ -140,7 +146,7 @@ def search(motion: RecordedMotion, antenna_b: FloatArray, plain: Explained) -> E
         return found if float(np.sqrt(np.mean(found.fit.rms**2))) < _SHARE * moved else best
 
     for one in ranked[:_KEPT]:
-        for offset in sorted({first, *offsets}):
+        for offset in sorted({*firsts, *offsets}):
             best = choose(best, replace(one.hypothesis, offset=offset))
     for _ in range(_ROUNDS):
         before, h = best, best.hypothesis

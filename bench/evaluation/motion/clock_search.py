@@ -25,7 +25,7 @@ _SLOWEST = 1.5  # ground speed from which a course counts [m/s]
 _FEWEST = 20  # intervals in a comparison
 _ROWS = 6000  # intervals of a long recording, evenly spaced
 _CLOSE = 12.0  # an offset counts if its logarithm of the likelihood is this close to the best
-_MOST = 4  # offsets that are returned
+_MOST = 4  # offsets that are returned, to one second and beyond
 
 
 def find_offsets(motion: RecordedMotion) -> list[float]:
@@ -42,7 +42,8 @@ def find_offsets(motion: RecordedMotion) -> list[float]:
     peaks = inner[np.argsort(-gains[inner], kind="stable")]
     close = [k for k in peaks if gains[k] > gains[peaks[0]] - _CLOSE]
     near = [k for k in close if abs(offsets[k]) <= 1.0]
-    return [float(offsets[k]) for k in (near or close)[:_MOST]]
+    far = [k for k in close if abs(offsets[k]) > 1.0] if close and close[0] not in near else []
+    return [float(offsets[k]) for k in near[:_MOST] + far[:_MOST]]
 
 
 def _weigh(
