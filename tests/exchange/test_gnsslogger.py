@@ -12,6 +12,7 @@ from bench.io.config.log import load_log
 from bench.io.log_formats import guess_format
 from bench.io.logs import formats
 from bench.io.logs.log_records import read_records
+from tests.damage import spoil
 from tests.workbench.test_exporters import EPOCH, drive
 
 FLU = np.array([1.0, -1.0, -1.0])
@@ -91,15 +92,8 @@ def test_sensors_that_were_off_are_a_line(tmp_path):
 def test_damaged_files_are_read_in_part_or_a_line(tmp_path):
     path = tmp_path / "a.txt"
     write(path)
-    whole, random = path.read_bytes()[:60_000], np.random.default_rng(5)
-    cuts = [whole[: random.integers(0, len(whole))] for _ in range(20)]
-    flips = []
-    for _ in range(50):
-        raw = bytearray(whole)
-        raw[random.integers(0, len(raw))] ^= 1 << int(random.integers(0, 8))
-        flips.append(bytes(raw))
     lines = []
-    for raw in [*cuts, *flips]:
+    for raw in spoil(path.read_bytes()[:60_000], 5, bits=1):
         path.write_bytes(raw)
         for kind in ("imu", "gnss"):
             try:

@@ -14,6 +14,7 @@ from bench.io.log_formats import guess_format
 from bench.io.logs import formats
 from bench.io.logs.log_records import read_records
 from bench.io.logs.reference import read_reference
+from tests.damage import spoil
 from tests.workbench.test_exporters import drive
 
 WEEK, BEGIN = 2209, 400_000.0
@@ -146,15 +147,10 @@ def test_damage_is_left_out_and_counted(tmp_path):
     """A changed bit makes the checksum wrong; no value of a damaged log is used."""
     path = tmp_path / "span.asc"
     write(path)
-    whole, random = path.read_bytes()[:40_000], np.random.default_rng(7)
+    whole = path.read_bytes()[:40_000]
     sound = {kind: formats.read("novatel", path, kind, None) for kind in ("imu", "gnss")}
-    raws = [whole[: random.integers(0, len(whole))] for _ in range(20)]
-    for _ in range(50):
-        raw = bytearray(whole)
-        raw[random.integers(0, len(raw))] ^= 1 << int(random.integers(0, 7))
-        raws.append(bytes(raw))
     lines = []
-    for raw in raws:
+    for raw in spoil(whole, 7, bits=1):
         path.write_bytes(raw)
         for kind, name in (("imu", "dvel"), ("gnss", "lla")):
             try:

@@ -13,6 +13,7 @@ from bench.cli.command_line import main
 from bench.core.words.exceptions import ConfigError
 from bench.io.log_formats import guess_format
 from bench.io.logs import formats
+from tests.damage import spoil
 from tests.data import gnss_file
 
 
@@ -79,15 +80,8 @@ def test_damaged_and_short_frames_are_counted(tmp_path):
 
 @pytest.mark.parametrize("name", ["novatel-rawimus", "novatel-rawimusx"])
 def test_a_file_that_ends_early_or_has_wrong_bits_gives_rows_or_one_line(name, tmp_path):
-    content, rng = gnss_file(f"{name}.gps").read_bytes(), np.random.default_rng(5)
     path = tmp_path / "a.gps"
-    pieces = [content[: rng.integers(len(content))] for _ in range(20)]
-    for _ in range(50):
-        flipped = bytearray(content)
-        for at in rng.integers(len(content), size=10):
-            flipped[at] ^= 1 << rng.integers(8)
-        pieces.append(bytes(flipped))
-    for piece in pieces:
+    for piece in spoil(gnss_file(f"{name}.gps").read_bytes(), 5):
         path.write_bytes(piece)
         for kind, topic in (("imu", "HG4930"), ("gnss", None), ("gnss", "INSPVAX")):
             said = "a.gps: read"

@@ -20,6 +20,7 @@ from bench.io.logs.log_records import read_records
 from bench.io.logs.rows import ROW_MEMORY
 from bench.plugins.autopilots import telemetry
 from bench.simulation.signals.air import pressure_altitude
+from tests.damage import spoil
 from tests.plugins.autopilots.telemetry_writer import BEGIN, ELLIPSOID, motion, place, write_telemetry
 
 
@@ -107,15 +108,8 @@ def test_new_log_writes_the_log_of_a_telemetry_log(tmp_path, capsys):
 
 def test_damage_is_skipped_or_a_line(tmp_path):
     whole = write_telemetry(tmp_path / "a.tlog").read_bytes()
-    random = np.random.default_rng(3)
-    cut = [whole[: random.integers(0, len(whole))] for _ in range(20)]
-    flipped = []
-    for _ in range(50):
-        raw = bytearray(whole)
-        raw[random.integers(0, len(raw))] ^= 1 << int(random.integers(0, 8))
-        flipped.append(bytes(raw))
     lines: list[str] = []
-    for k, raw in enumerate([*cut, *flipped, b"", b"\x00" * 4000]):
+    for k, raw in enumerate([*spoil(whole, 3, bits=1), b"", b"\x00" * 4000]):
         path = tmp_path / f"{k}.tlog"
         path.write_bytes(raw)
         for kind in ("imu", "gnss"):

@@ -19,6 +19,7 @@ from bench.plugins.receiver.rinex.ephemerides import read_navigation
 from bench.plugins.receiver.rinex.lines import find_kind
 from bench.plugins.receiver.rinex.observations import read_observations
 from bench.simulation.signals.gps_time import gps_seconds
+from tests.damage import spoil
 from tests.data import gnss_file, stored_gnss_file
 
 STATION = "testglo-2009-12-18.rtcm3"  # recorded: 1004, 1012, 1005, 1019, 1020
@@ -213,15 +214,8 @@ def read_damaged(read, path):
 
 @pytest.mark.parametrize("name", [STATION, WALK, OPEC])
 def test_a_file_that_ends_early_or_has_wrong_bits_gives_rows_or_one_line(name, tmp_path):
-    content, rng = gnss_file(name).read_bytes(), np.random.default_rng(3)
     path = tmp_path / "a.rtcm3"
-    pieces = [content[: rng.integers(len(content))] for _ in range(20)]
-    for _ in range(50):
-        flipped = bytearray(content)
-        for at in rng.integers(len(content), size=10):
-            flipped[at] ^= 1 << rng.integers(8)
-        pieces.append(bytes(flipped))
-    for piece in pieces:
+    for piece in spoil(gnss_file(name).read_bytes(), 3):
         path.write_bytes(piece)
         for read in (read_rtcm, read_rtcm_navigation):
             read_damaged(read, path)

@@ -24,6 +24,7 @@ from bench.plugins.receiver.rinex.lines import find_kind
 from bench.plugins.receiver.rinex.observations import read_observations
 from bench.simulation.signals.gps_time import gps_seconds
 from bench.simulation.signals.orbits import find_frequency
+from tests.damage import spoil
 from tests.data import gnss_file, stored_gnss_file
 from tests.plugins.receiver.test_rtcm import list_rows
 
@@ -352,14 +353,8 @@ def read_damaged(path):
 
 @pytest.mark.parametrize("name", [REAL, WALK])
 def test_a_file_that_ends_early_or_has_wrong_bits_gives_rows_or_one_line(name, tmp_path):
-    content, rng, path = gnss_file(name).read_bytes(), np.random.default_rng(3), tmp_path / "a.sbf"
-    pieces = [content[: rng.integers(len(content))] for _ in range(20)]
-    for _ in range(50):
-        flipped = bytearray(content)
-        for at in rng.integers(len(content), size=10):
-            flipped[at] ^= 1 << rng.integers(8)
-        pieces.append(bytes(flipped))
-    for piece in pieces:
+    path = tmp_path / "a.sbf"
+    for piece in spoil(gnss_file(name).read_bytes(), 3):
         path.write_bytes(piece)
         read_damaged(path)
         with contextlib.suppress(ConfigError):
