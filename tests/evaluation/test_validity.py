@@ -11,6 +11,7 @@ from bench.core.records.instruments import BaroData
 from bench.evaluation.motion import validity, velocity_checks
 from bench.evaluation.motion.recorded_motion import Check, RecordedMotion
 from bench.evaluation.motion.velocity_checks import variance_of_sum
+from bench.evaluation.motion.velocity_frame import find_frame
 
 
 def test_times_that_go_back_and_gaps_are_counted_by_rows():
@@ -157,6 +158,20 @@ def test_an_axis_is_compared_if_it_moves_at_half_a_meter_and_eight_times_its_noi
         one.name for one in velocity_checks.check_velocity(drive(0.0, (1.0, 1.0, 2.0), 0.5 * down, noise))[0]
     ]
     assert ("velocity_ratio_down" in names) == compared
+
+
+@pytest.mark.parametrize(("axes", "unit"), [(np.eye(3), 1.0), (np.eye(3)[[1, 0, 2]], 1.0), (np.eye(3), 3.6)])
+def test_a_gait_that_is_sampled_hides_no_axes_and_reverses_none(axes, unit):
+    """Walks whose vertical velocities and positions have nothing to do with each other, 40 at random."""
+    rng = np.random.default_rng(11)
+    for _ in range(40):
+        level = 0.7 * np.cumsum(rng.standard_normal((300, 2)), axis=0) / 10.0
+        down = rng.uniform(0.03, 0.1, 2) * rng.standard_normal((300, 2))
+        by_position = np.column_stack([level + 0.05 * rng.standard_normal((300, 2)), down[:, 0]])
+        by_velocity = unit * np.column_stack([level, down[:, 1]]) @ axes.T
+        found = find_frame(by_position, by_velocity)
+        np.testing.assert_allclose(found.matrix, axes.T / unit)
+        assert (found.text == "") == (unit == 1.0 and np.array_equal(axes, np.eye(3)))
 
 
 def test_slow_noise_of_a_velocity_is_no_unit():

@@ -22,6 +22,7 @@ _OVERLAP = 2.0  # differences that share their time with a neighbor count this m
 _FLOOR = 0.02  # of the residuals [m/s]: no receiver is better
 _FAR = 0.25  # relative difference from positions within which velocities follow them
 _SHARE = 0.002  # of the power, from which an axis is compared
+_SEEN = 0.5  # correlation from which the vertical axis is compared
 
 
 class VelocityFrame(NamedTuple):
@@ -53,17 +54,31 @@ def find_frame(by_position: FloatArray, by_velocity: FloatArray) -> VelocityFram
         flipped = axes * np.where(np.arange(3) == axis, -1.0, 1.0)[:, None]
         if flipped[axis, axis] > 0 and weigh(scale(flipped, unit)) < cost + _EVIDENCE:
             axes, cost = flipped, weigh(scale(flipped, unit))
+    seen = _correlate(by_position, by_velocity @ axes.T) > _SEEN
+    if axes[2, 2] < 0.0 and not seen[2]:
+        axes = axes * np.array([1.0, 1.0, -1.0])[:, None]
+        cost = weigh(scale(axes, unit))
     if plain - cost < _EVIDENCE or not _follows(by_position, by_velocity @ scale(axes, unit).T):
         return VelocityFrame(given, "")
     return VelocityFrame(scale(axes, unit), _describe(axes, unit))
 
 
 def _follows(by_position: FloatArray, by_velocity: FloatArray) -> bool:
-    """Return whether positions and velocities move by equal amounts; sampled oscillations do not."""
+    """Return whether positions and velocities move by equal amounts, north and east; as far as seen, down.
+
+    A heave or a gait that is sampled shows in positions and velocities by chance.
+    """
     power = np.square(by_velocity).sum(axis=0)
     gain = (by_position * by_velocity).sum(axis=0) / np.maximum(power, 1e-12)
-    moves = power > _SHARE * power.sum()
+    seen = _correlate(by_position, by_velocity) > _SEEN
+    moves = (power > _SHARE * power.sum()) & (seen | [True, True, False])
     return bool((np.abs(gain - 1.0)[moves] < _FAR).all())
+
+
+def _correlate(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return the correlation (3,) of rows (M, 3), axis by axis, around 0."""
+    power = np.square(a).sum(axis=0) * np.square(b).sum(axis=0)
+    return np.asarray((a * b).sum(axis=0) / np.sqrt(np.maximum(power, 1e-300)))
 
 
 def _describe(axes: FloatArray, unit: str) -> str:
