@@ -426,10 +426,10 @@ class Session:
             span = float(t[before]), float(errors.t[-1])
             drifts.append(OutageDrift.measure(*span, errors.pos_n[-1], moved.cov[-1], own))
         if not drifts and asked:
-            known = "no sound fix" if self.reference is None else "[reference] is not known"
+            known = "an epoch of [reference]" if self.reference else "a GNSS fix that fits the motion"
             raise ConfigError(
-                f"--outages: {known} at the end of any of {places} cuts of {duration:g} s, "
-                f"the last of them at {t[-1]:.1f} s"
+                f"--outages: none of {places} simulated outages of {duration:g} s ends with {known}; "
+                f"the last possible end is {t[-1]:.1f} s"
             )
         return drifts
 

@@ -235,9 +235,7 @@ def test_what_no_candidate_takes_is_not_found():
     causes = search({"a": 100.0, "b": 1.0}, groups="else")
     assert (steps(causes), causes.left) == ([], "pos")
     text = describe_causes(causes, "")
-    assert text.startswith(
-        "not found: no fault, and no error that it does not model, makes 30 % of the excess"
-    )
+    assert text.startswith("not found: no fault and no unmodeled error explains 30 % of the excess")
 
 
 def test_what_the_others_do_without_is_no_cause():

@@ -189,7 +189,7 @@ def describe(sound: Recorded, spoiled: Recorded, names: Sequence[str], late: flo
     return ("missed" if not wrong else "partly"), [*left, *(c.text for c in wrong)]
 
 
-_EITHER = "its velocity alone is late"
+_EITHER = "only the receiver's velocity is late"
 _CLOCK = 0.06  # [s]
 _UNKNOWN = {"clock": "imu_shift_s", LATE: "velocity_shift_s", "lever arm": "arm_off_m"}
 """Mistakes that a motion need not show, and the checks that say so."""

@@ -189,7 +189,7 @@ def test_a_row_of_drifts_has_the_quantiles_of_a_vector_of_two_axes():
     assert row["reported_median_h_m"] == pytest.approx(2.0 * np.sqrt(2.0 * np.log(2.0)), rel=1e-4)
     assert (row["places"], row["median_h_m"]) == (3, 4.0)
     assert row["rms_h_m"] == pytest.approx(np.sqrt(50.0 / 3.0))
-    assert "the fixes alone" not in describe_drift(row)
+    assert "noise of the fixes" not in describe_drift(row)
 
 
 def test_the_drift_by_a_fix_has_the_accuracy_of_the_fix():
@@ -200,4 +200,4 @@ def test_the_drift_by_a_fix_has_the_accuracy_of_the_fix():
     row = make_drift_row("x", 1.0, [one], IMU)
     assert row["reported_median_h_m"] == pytest.approx(5.0 * RAYLEIGH_MEDIAN)
     assert row["predicted_median_h_m"] == pytest.approx(RAYLEIGH_MEDIAN * np.hypot(drift_sd(1.0, IMU), 4.0))
-    assert describe_drift(row).endswith("; the fixes alone: 4.71 m")
+    assert describe_drift(row).endswith("; noise of the fixes alone: 4.71 m")

@@ -389,9 +389,14 @@ def test_a_shift_of_the_clocks_counts_beyond_20_ms_and_five_deviations(shift, sd
     ("late", "late_sd", "key", "told"),
     [
         (0.0, 0.001, "imu.time_offset_s", "add +0.200 to [imu] time_offset_s"),
-        (0.0, np.inf, "imu.time_offset_s", ", or its velocity alone is late: -0.200 to [gnss]"),
-        (-0.05, 0.04, "imu.time_offset_s", ", or its velocity alone is late: -0.200 to [gnss]"),
-        (-0.15, 0.04, "gnss.velocity_offset_s", "or rather its velocity alone is late: add -0.200 to [gnss]"),
+        (0.0, np.inf, "imu.time_offset_s", ", or if only the receiver's velocity is late: -0.200 to [gnss]"),
+        (-0.05, 0.04, "imu.time_offset_s", ", or if only the receiver's velocity is late: -0.200 to [gnss]"),
+        (
+            -0.15,
+            0.04,
+            "gnss.velocity_offset_s",
+            "more likely only the receiver's velocity is late: add -0.200 to [gnss]",
+        ),
         (-0.15, 0.005, "imu.time_offset_s", "add +0.200 to [imu] time_offset_s"),
     ],
 )
@@ -400,7 +405,7 @@ def test_a_clock_is_told_from_a_late_velocity_by_the_positions(late, late_sd, ke
     found = motion_checks.check_shift(fitted(0.001, shift=0.2), 0.0, late, late_sd)
     assert (list(found.advice), abs(found.advice[key])) == ([key], pytest.approx(0.2))
     assert told in found.text
-    assert ("alone is late" in found.text) == (abs(0.2 + late) < 5.0 * late_sd)
+    assert ("only the receiver's velocity is late" in found.text) == (abs(0.2 + late) < 5.0 * late_sd)
 
 
 def test_an_arm_that_is_off_is_told_by_axis():
@@ -443,7 +448,7 @@ def test_the_forward_axis_is_that_of_a_least_squares_with_a_wind():
 
     angle, _, found = compare(0.5)
     assert found.value == pytest.approx(np.rad2deg(angle), abs=1e-3)
-    assert "if it moves forward, mounting_deg does not make x point there" in found.text
+    assert "if it moves forward, change mounting_deg so that x points there" in found.text
     excess = {}
     for size in np.arange(1.0, 30.0, 0.2):
         angle, sd, found = compare(size)

@@ -52,7 +52,7 @@ def test_each_kind_of_report_weighs_the_fixes(tmp_path, columns, keys, by, horiz
     worse = drives.POS_SD * [horizontal, horizontal, vertical]
     np.testing.assert_allclose(sd[::3], np.tile(worse, (len(sd[::3]), 1)))
     said = [check.text for check in read_log(path).checks if check.name == "fix_accuracy_m"]
-    assert [f"weighed by the {by} it came with" in text for text in said] == ([True] if by else [])
+    assert [f"weighted by the {by} it came with" in text for text in said] == ([True] if by else [])
 
 
 def test_a_class_that_is_no_number_is_refused(tmp_path):

@@ -146,7 +146,9 @@ def test_x_y_z_without_a_unit_are_no_positions(tmp_path, capsys):
 
 def test_keys_of_a_local_frame_without_local_positions_are_rejected(tmp_path):
     path = drives.write_log(tmp_path, drives.LOG.replace("[sensors", "origin = [47, 11, 0, 0]\n[sensors", 1))
-    with pytest.raises(ConfigError, match=r"gnss\.csv: origin is for local positions; it has lat_deg; leave"):
+    with pytest.raises(
+        ConfigError, match=r"gnss\.csv: origin is only for positions in a local frame, not for lat_deg: leave"
+    ):
         read_records(load_log(str(path)))
     path = write_log(tmp_path, "x_m, y_m, z_m", 'frame = "abc-flu"')
     with pytest.raises(ConfigError, match="frame 'abc-flu': expected the axes x, y, z"):

@@ -265,7 +265,7 @@ def test_a_log_that_is_read_only_or_being_edited_is_not_changed(faked):
         return by_offset(document)
 
     faked("[imu]\n", edit)
-    with pytest.raises(ConfigError, match="changed meanwhile"):
+    with pytest.raises(ConfigError, match="changed in the meantime"):
         apply_advice(str(path), Console())
     assert path.read_text() == "[imu] # edited\n"
     assert [one.name for one in path.parent.iterdir()] == ["a.toml"]

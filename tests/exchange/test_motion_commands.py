@@ -106,7 +106,7 @@ def test_the_truth_of_commands_keeps_them(tmp_path):
         rotation.rotate(rotation.conjugate(truth.q_nb[:n]), truth.vel_n[:n]), vel_b[:n], atol=0.02
     )
     assert not [text for _, _, text in truth.events.select("sanity")]
-    with pytest.raises(ConfigError, match=r"\[track\] is not used: the commands have an attitude"):
+    with pytest.raises(ConfigError, match=r"\[track\] is not used, because the commands contain an attitude"):
         list(read_trajectory(TableSpec("path", path, 100.0, None, track=TrackSpec())))
 
 
@@ -117,9 +117,9 @@ def test_the_truth_of_commands_keeps_them(tmp_path):
         (("1,0,0,0,0,0,0,-1,0",), "line 4: expected a command type from 1 to 5 and a duration"),
         (("1,0,0,0,0",), "line 4: 5 values; expected 8"),
         (("1,0,0,x,0,0,0,1,0",), "line 4: not a row of numbers"),
-        (("1,0,0,nan,0,0,0,1,0",), "line 4: value 4 is nan; at most 100000 is read"),
+        (("1,0,0,nan,0,0,0,1,0",), "line 4: value 4 is nan; expected at most 100000"),
         (("1,0,0,0,0,0,0,7000,0", "1,0,0,0,0,0,0,300,0"), "last 7300 s, more than 7200 s"),
-        ((), "3 lines; expected names and values of the state, names and commands"),
+        ((), "3 lines; expected names, the initial state, names, and commands"),
     ],
 )
 def test_a_wrong_definition_is_one_line(tmp_path, commands, words):

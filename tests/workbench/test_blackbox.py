@@ -48,7 +48,10 @@ def test_decoded_tables_are_read_in_their_units_and_axes(tmp_path, capsys, inav)
     path, imu, gnss = decode(tmp_path, inav=inav)
     assert main(["new", "log", str(path)]) == 0, capsys.readouterr().err
     text = path.with_suffix(".toml").read_text()
-    assert ("GPS_altitude: taken as dm, of Betaflight 4; before it is cm: right?" in text) is not inav
+    assert (
+        "GPS_altitude: taken as dm, as Betaflight 4 writes it; name it alt_cm for earlier versions: right?"
+        in text
+    ) is not inav
     assert "gyroADC[0], " not in text  # no question
     found = read_records(load_log(str(path.with_suffix(".toml"))))
     assert_allclose(found.imu.t, imu["t"] - imu["t"][0], atol=2e-6)

@@ -587,7 +587,7 @@ def test_fixes_that_are_far_apart_have_no_short_outage_unless_asked_for(folder, 
     durations = {row["duration_s"] for row in json.loads((tmp_path / "o/result.json").read_text())["outages"]}
     assert 10.0 not in durations
     assert main(["navigate", str(log), *out, "--outages", "10", "--force"]) == 2
-    assert "--outages: no sound fix at the end of any" in capsys.readouterr().err
+    assert "ends with a GNSS fix that fits the motion" in capsys.readouterr().err
 
 
 # --- what a file cannot be ----------------------------------------------------------------------------

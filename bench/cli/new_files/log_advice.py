@@ -62,7 +62,7 @@ def apply_advice(name: str, console: Console, **log_options: Any) -> log_pipelin
 
 
 def _try(path: Path, text: str, log_options: Mapping[str, Any]) -> set[str]:
-    """Return the names of the checks that fail with another text of a log, in a file beside it for a time."""
+    """Return the names of the checks that fail with another text of a log, in a temporary file beside it."""
     trial = path.with_name(f"{path.stem}.{secrets.token_hex(8)}.toml")
     try:
         durable.write(trial, text)
@@ -78,15 +78,15 @@ def _replace(path: Path, before: str, after: str) -> None:
     path = path.resolve()  # a link stays a link
     mode = path.stat().st_mode
     if not mode & stat.S_IWUSR:
-        raise ConfigError(f"{path.name}: is read-only, so that --apply cannot change it")
+        raise ConfigError(f"{path.name}: is read-only: allow to write it, or remove --apply")
     if _read(path) != before:
-        raise ConfigError(f"{path.name}: has been changed meanwhile; navigate it again")
+        raise ConfigError(f"{path.name}: was changed in the meantime: run the command again")
     durable.write(path, after)
     path.chmod(mode)
 
 
 def _read(path: Path) -> str:
-    """Return the text of a log with the line ends that it has."""
+    """Return the text of a log with its own line ends."""
     return path.read_bytes().decode("utf-8")
 
 

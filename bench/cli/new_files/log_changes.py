@@ -42,8 +42,8 @@ def list_changes(
     document : mapping
         The log as its file says.
     advice : sequence of mappings
-        The ``advice`` of each check: an offset is added, axes are matrices on what is recorded, a gain is
-        measured by true, a velocity a matrix to n in m/s.
+        The ``advice`` of each check: an offset is added; axes are matrices that turn the recorded vectors;
+        a gain is measured by true; a velocity is a matrix that turns the recorded one to n [m/s].
     beside : Path
         Folder of the log.
     """
@@ -76,9 +76,9 @@ def list_changes(
 def _rename(
     row: dict[str, Any], table: str, key: str, beside: Path, choose: Callable[..., dict[str, str]]
 ) -> dict[tuple[str, str], Any]:
-    """Return the change of columns that get new names, on which the next change builds; {} if none.
+    """Return the change of columns that get new names, {} if none; ``row`` gets them, too.
 
-    ``choose`` makes old and new names of those in use: that the log gives, or that are in the file.
+    ``choose`` returns old names and new ones for the names in use, from the log or the header of the file.
     """
     file = str(row.get("gyro_file" if key == "gyro_columns" else "file", ""))
     if row.get("format", "table" if Path(file).suffix.lower() in TABLES else "") != "table":
@@ -143,7 +143,7 @@ def _name_unit(sensor: str, units: Mapping[str, float], gain: float) -> dict[str
 
 
 def _name_velocity(known: Mapping[str, str], matrix: FloatArray) -> dict[str, str]:
-    """Return the names of columns of which a matrix makes velocities in n [m/s]; {} if no names say so."""
+    """Return the names of columns after which velocities are in n; {} if no names fit the ``matrix``."""
     ends = [(down, unit) for down in "du" for unit in ("mps", "m_s") if f"vel_{down}_{unit}" in known]
     down, unit = ends[0] if ends else ("d", "mps")
     new = {1.0: unit, 3.6: "km_h"}.get(round(1.0 / float(np.abs(matrix).max()), 6))
@@ -161,7 +161,7 @@ def write_changes(text: str, changed: Mapping[tuple[str, str], Any]) -> str:
     Raises
     ------
     ValueError
-        If the text has no such table, or a key is not in a line of its own.
+        If the text has no such table, or a key has no line of its own.
     """
     wanted: dict[str, Any] = tomllib.loads(text)
     after = text

@@ -42,8 +42,8 @@ class ChosenStart:
 def choose_start(spec: LogSpec, records: LogRecords) -> ChosenStart | None:
     """Return a possible start of a record: at rest, else in steady flight; None if there is none.
 
-    It lies in the longest segment that the IMU covers without a gap. The heading is that of the magnetometer;
-    without one it is unknown, and several are tried until motion shows which is right.
+    It lies in the longest segment that the IMU covers without a gap. The magnetometer gives the heading;
+    without one the heading is unknown, and several are tried until the motion shows which fits.
     """
     begin, end = _find_covered(records)
     until = find_impact(records)
@@ -79,7 +79,7 @@ def _find_covered(records: LogRecords) -> tuple[float, float]:
 
 
 def find_impact(records: LogRecords) -> float | None:
-    """Return the time one second before an impact [s]; None without one.
+    """Return the time one second before an impact [s]; None without an impact.
 
     At an impact the IMU tumbles. After it, the fixes move no more or the recording ends.
     """

@@ -17,7 +17,7 @@ from numba.extending import intrinsic
 
 @intrinsic
 def call_at(_, address, *arguments):  # type: ignore[no-untyped-def]
-    """Return what the kernel at an address returns of these arguments, an int; called by kernels only.
+    """Call the kernel at an address, from another kernel, and return its result, an int.
 
     Nothing is checked: it must have been compiled for arguments of exactly these types.
     """

@@ -54,7 +54,7 @@ class Kernel:
         self.py_func, self._options = function, _OPTIONS | options
 
     def __call__(self, *arguments: Any) -> Any:
-        """Return what the function returns."""
+        """Call the compiled function and return its result."""
         return self.dispatcher(*arguments)
 
     def __reduce__(self) -> str:

@@ -27,9 +27,9 @@ def check_file(path: Path, shown: str, most: int) -> None:
     Raises
     ------
     ConfigError
-        If it is no regular file, or larger.
+        If it is not a regular file, or is larger than ``most``.
     OSError
-        If it cannot be looked at.
+        If it does not exist, or its folder cannot be read.
     """
     found = path.stat()
     if not (stat.S_ISREG(found.st_mode) or stat.S_ISDIR(found.st_mode)):

@@ -1,4 +1,4 @@
-"""Frames in a stream of bytes: each begins with a mark, and tells its length and checksum."""
+"""Frames in a stream of bytes: each begins with a mark and contains its length and a checksum."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def find_frames(
 ) -> Iterator[bytes | None]:
     """Yield the sound frames of a stream, and None for a damaged part behind one of them.
 
-    ``mark`` is what a frame begins with, ``longest`` its greatest length [byte]. ``measure`` returns where
+    A frame begins with ``mark`` and is at most ``longest`` long [byte]. ``measure`` returns where
     the frame at a place of a content ends, 0 if it is not sound.
     """
     content, at, more, sound = b"", 0, True, False

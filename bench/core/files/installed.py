@@ -51,7 +51,7 @@ class Installed:
 
 
 def find_own(group: str) -> dict[str, str]:
-    """Return what the plug-ins of bench add to a group: its name -> "module" or "module:attribute".
+    """Return the entries of a group by the plug-ins of bench: name -> "module" or "module:attribute".
 
     Raises
     ------
@@ -102,7 +102,7 @@ def _list_own() -> list[tuple[str, str, str]]:
 
 
 def find_installed(group: str, taken: Collection[str] = ()) -> dict[str, Installed]:
-    """Return what installed packages add to a group, by name; the sound entries only.
+    """Return the entries of a group by installed packages, by name; broken entries are left out.
 
     Parameters
     ----------

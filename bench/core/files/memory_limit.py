@@ -10,7 +10,7 @@ import psutil
 
 @contextmanager
 def limit_memory(beyond: int) -> Iterator[Callable[[int], None]]:
-    """Limit the memory of this process to what it has and more [byte]; beyond it there is a MemoryError.
+    """Limit the memory that this process may take in addition [byte]; beyond it there is a MemoryError.
 
     Provides a function that makes room for columns [byte]. Without effect but on Linux.
     """

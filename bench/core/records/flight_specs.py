@@ -199,7 +199,7 @@ class FlightSpec:
     turbulence_seed: int
     legs: tuple[Leg, ...]
     duration: float | None  # the last leg is held until then [s]; None: until it ends
-    on_ground: bool = False  # starts at rest on the runway; ``speed`` is then that of the first climb
+    on_ground: bool = False  # starts at rest on the runway; ``speed`` is then the speed of the first climb
     runway: Runway | None = None
     flat_alt: float = 0.0  # ellipsoidal height of the ground without a runway [m]
     wind_layers: tuple[WindLayer, ...] = ()  # upwards; they replace wind_from and wind_speed

@@ -65,9 +65,9 @@ def explain_run(
     -------
     values : dict
         ``causes``, a row each: the words, the block of states whose covariance is broken, its mean NEES with
-        and without it (``nees``, ``nees_without``), and the ``step``: those of a step were found together,
-        and without those of the steps before; ``causes_runs``, how often the filter ran; ``advice_text``,
-        which filter does better; ``why_text``.
+        and without it (``nees``, ``nees_without``), and the ``step``: the causes of one step were found
+        together, with the causes of earlier steps removed; ``causes_runs``, how often the filter ran;
+        ``advice_text``, which filter does better; ``why_text``.
     """
     count = 0
 

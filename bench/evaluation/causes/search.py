@@ -157,7 +157,7 @@ def describe_causes(causes: Causes, advice: str) -> str:
     """Return the sentences that explain why a run is not consistent."""
     if not causes.steps:
         return (
-            f"not found: no fault, and no error that it does not model, makes {100 * LEAST:.0f} % of the "
+            f"not found: no fault and no unmodeled error explains {100 * LEAST:.0f} % of the "
             f"excess NEES of the {TITLES[causes.block]}, {write_nees(causes.before.mean)} where "
             f"{causes.before.states} is expected."
         )

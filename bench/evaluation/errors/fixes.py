@@ -44,9 +44,9 @@ def antenna_errors(
     Returns
     -------
     errors : ErrorSeries
-        Those of :func:`point_errors`; ``phi_n`` and ``heading`` are NaN.
+        As :func:`point_errors` returns them; ``phi_n`` and ``heading`` are NaN.
     moved : NavSolution
-        The estimate at the antenna, with the sum of its covariance and that of the fixes.
+        The estimate at the antenna, with the sum of its covariance and the covariance of the fixes.
     """
     k, m = _match_instants(solution.t, fixes.t)
     fixes = fixes.take(m)

@@ -30,13 +30,13 @@ class OutageDrift:
     drift: float  # horizontal error at the fix that ends the outage [m]
     drift_v: float  # vertical error there [m]
     claimed: float  # standard deviation by axis of the drift: of filter and fix, or reference, together [m]
-    fix_sd: float = 0.0  # of it, by axis, that of the fix that measures the drift [m]
+    fix_sd: float = 0.0  # part of it that is the noise of the fix that measures the drift [m]
 
     @classmethod
     def measure(
         cls, start: float, end: float, error_n: FloatArray, cov: FloatArray, fix_cov: FloatArray
     ) -> OutageDrift:
-        """Return the drift by the error (3,) [m, n] at the end, its covariance and that of the fix alone."""
+        """Return the drift by the error (3,) [m, n] at the end, its covariance, and the part of the fix."""
         sd, fix_sd = (float(np.sqrt(0.5 * (one[0, 0] + one[1, 1]))) for one in (cov, fix_cov))
         drift = float(np.hypot(error_n[0], error_n[1]))
         return cls(start, end - start, drift, float(abs(error_n[2])), sd, fix_sd)
@@ -105,7 +105,9 @@ def describe_drift(row: Mapping[str, Any]) -> str:
     )
     count = f"{row['places']} simulated outage{'' if row['places'] == 1 else 's'}"
     fixes = row.get("fixes_median_h_m", 0.0)
-    noise = f"; the fixes alone: {_format_length(fixes)} m" if fixes > 0.5 * row["median_h_m"] else ""
+    noise = (
+        f"; noise of the fixes alone: {_format_length(fixes)} m" if fixes > 0.5 * row["median_h_m"] else ""
+    )
     return (
         f"{count} of {row['duration_s']:g} s: {row['estimator']} drifts {median} (median), reports "
         f"{claimed}; predicted from the datasheet: {law}{noise}"

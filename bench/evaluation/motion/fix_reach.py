@@ -48,7 +48,7 @@ def find_reachable(imu: ImuData, fixes: GnssFixes) -> BoolArray:
 def _test_stretches(
     stretches: Stretches, motion: RecordedMotion, fixes: GnssFixes, rows: IntArray, sound: BoolArray
 ) -> None:
-    """Set ``sound`` (M,) for the fixes of some segments; ``rows`` are those of all fixes that are tested."""
+    """Set ``sound`` (M,) for the fixes of some segments; ``rows`` are the rows of all tested fixes."""
     near = stretches.find_near(motion.t)
     u = integrate(stretches, motion.t[near], motion.gyro[near], motion.accel[near], np.zeros(len(NAMES)))[0]
     at = rows[np.searchsorted(fixes.t[rows], stretches.fix_t)]
@@ -76,7 +76,7 @@ def _test_stretches(
 
 
 def _chain(rows: range, start: int, agree: Callable[[int, int], bool]) -> list[bool]:
-    """Return which rows agree with the sound one before them, if the first sound one is ``start``."""
+    """Return which rows agree with the last sound row before them, if ``start`` is the first sound row."""
     found, last = [False] * start + [True], rows[start]
     for k in rows[start + 1 :]:
         found.append(agree(last, k))

@@ -80,7 +80,7 @@ def check_motion(motion: RecordedMotion, antenna_b: FloatArray) -> tuple[list[Ch
     if not motion.find_standstills():
         text = f"imu: on the move the up axis is {np.rad2deg(tilt):.1f} deg off the mean specific force"
         if tilt > LEVEL_OFF:
-            text += ": mounting_deg does not make z point down"
+            text += ": change mounting_deg so that z points down"
         found.append(Check("level_tilt_deg", float(np.rad2deg(tilt)), text, tilt <= LEVEL_OFF))
     if h.down < 0:
         text = "gnss: the vertical velocity is reversed: it is up where down is expected"
@@ -138,7 +138,7 @@ def _unknown(name: str, what: str) -> Check:
 def check_shift(fit: MotionFit, offset: float = 0.0, late: float = 0.0, late_sd: float = 0.0) -> Check:
     """Check the time shift between IMU and fixes against the motion of the fixes, beyond an ``offset`` [s].
 
-    ``late`` [s] is to be added to the times of the velocities alone, by the positions, with ``late_sd``.
+    ``late`` [s] with ``late_sd``: by the positions, it is added to the times of the velocities alone.
     """
     shift, sd = _take(fit, "shift")
     shift += offset
@@ -156,10 +156,10 @@ def check_shift(fit: MotionFit, offset: float = 0.0, late: float = 0.0, late_sd:
             f"{-shift:+.3f} to [gnss] velocity_offset_s",
         )
         if may_be_late and abs(shift + late) < abs(late):
-            text += f", or rather its velocity alone is late: add {by_velocity}"
+            text += f", more likely only the receiver's velocity is late: add {by_velocity}"
             return Check("imu_shift_s", shift, text, False, {"gnss.velocity_offset_s": -shift})
         text += f": add {shift:+.3f} to [imu] time_offset_s"
-        text += f", or its velocity alone is late: {by_velocity}" if may_be_late else ""
+        text += f", or if only the receiver's velocity is late: {by_velocity}" if may_be_late else ""
     return Check("imu_shift_s", shift, text, not off, advice)
 
 
@@ -194,8 +194,8 @@ def check_force_gain(fit: MotionFit) -> Check:
 def check_velocity_noise(fit: MotionFit, motion: RecordedMotion) -> list[Check]:
     """Check for velocities that scatter more, within a segment of some seconds, than filters assume.
 
-    Scatter that the noise of the accelerometers explains is none of the receiver: if it is white, its
-    integral is a random walk, whose variance without a line through it is that at the end by 15.
+    Scatter that the noise of the accelerometers explains does not count: if the noise is white, its
+    integral is a random walk, whose variance around a fitted line is its variance at the end by 15.
     """
     sd = float(np.median(fit.rms))
     white = float(np.std(np.diff(motion.accel, 2, axis=0))) / np.sqrt(6.0)
@@ -205,7 +205,7 @@ def check_velocity_noise(fit: MotionFit, motion: RecordedMotion) -> list[Check]:
         return []
     text = (
         f"gnss: its velocities scatter by {sd:.2g} m/s around the motion of the IMU, filters assume "
-        f"{assumed:.2g} m/s: velocity_sd_mps = {sd:.2g} in [gnss]"
+        f"{assumed:.2g} m/s: set velocity_sd_mps = {sd:.2g} in [gnss]"
     )
     return [Check("velocity_sd_mps", sd, text, False, {"gnss.velocity_sd_mps": float(f"{sd:.2g}")})]
 
@@ -292,5 +292,5 @@ def check_forward_axis(fit: MotionFit, stretches: Stretches) -> Check:
         return unknown
     text = f"imu: it moves {np.rad2deg(angle):+.1f} deg right of its forward axis"
     if bad:
-        text += ": if it moves forward, mounting_deg does not make x point there"
+        text += ": if it moves forward, change mounting_deg so that x points there"
     return Check("forward_yaw_deg", float(np.rad2deg(angle)), text, not bad)

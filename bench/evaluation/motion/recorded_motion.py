@@ -33,7 +33,8 @@ class Check:
     text: str
     good: bool
     advice: Mapping[str, Any] = field(default_factory=dict)
-    """Key of the log, or a gain or ``gnss.velocity``, which have none: what to add or to multiply by."""
+    """What to change: key of the log, or a gain or ``gnss.velocity``, which are no keys -> value to add or to
+    multiply by."""
 
 
 @dataclass(frozen=True, slots=True)

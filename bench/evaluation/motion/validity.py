@@ -140,7 +140,7 @@ def check_rest(motion: RecordedMotion) -> list[Check]:
     found = [Check("gravity_ratio", ratio, text, not bad, {"imu.accel_gain": ratio} if bad else {})]
     words = f"imu: at rest the up axis is {np.rad2deg(tilt):.1f} deg off the specific force"
     if tilt > TILT_OFF:
-        words += ": mounting_deg does not make z point down"
+        words += ": change mounting_deg so that z points down"
     found.append(Check("rest_tilt_deg", float(np.rad2deg(tilt)), words, bool(tilt <= TILT_OFF)))
     bias = np.rad2deg(motion.gyro[rows].mean(axis=0))
     text = f"imu: angular rate at rest {', '.join(f'{b:.3f}' for b in bias)} deg/s"
@@ -148,15 +148,15 @@ def check_rest(motion: RecordedMotion) -> list[Check]:
 
 
 def describe_accuracy(fixes: GnssFixes, reported: str) -> Check:
-    """Return the check with a message on the weights of fixes."""
+    """Return a check that always passes, with a message on the weights of the fixes."""
     sd = np.sqrt(np.einsum("mii->mi", fixes.cov_pos_n[fixes.valid])[:, :2].mean(axis=1))
     low, median, high = np.nanquantile(sd, [0.0, 0.5, 1.0])
     spread = f"{low:.3g} to {high:.3g} m horizontally, median {median:.3g} m"
     if high - low < 1e-3 * high:
         spread = f"{median:.3g} m horizontally, the same for all"
     text = (
-        f"each fix is weighed by the {reported} it came with: {spread}; "
-        "option fix_accuracy = 'datasheet' weighs all alike"
+        f"each fix is weighted by the {reported} it came with: {spread}; "
+        "option fix_accuracy = 'datasheet' weights all alike"
     )
     return Check("fix_accuracy_m", float(median), text, True)
 

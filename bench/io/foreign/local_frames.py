@@ -162,7 +162,8 @@ def align(kind: str, lla: FloatArray, target: FloatArray, shown: str) -> Alignme
     here, there = earth.local_ned(lla[known], origin), earth.local_ned(target[known], origin)
     C, thin = fit_rotation(kind, here - here.mean(axis=0), there - there.mean(axis=0))
     if thin < _THIN:
-        what = "its positions, or those of the run, are one point from above; align by none, with --origin"
+        what = "its positions, or the run, do not move horizontally, which leaves the heading open; "
+        what += "align by none, with an origin"
         if kind == SE3:
             what = "its positions are a straight line, which leaves the angle about it open; align by yaw"
         raise ConfigError(f"{shown}: {what}")
@@ -174,8 +175,8 @@ def align(kind: str, lla: FloatArray, target: FloatArray, shown: str) -> Alignme
 def fit_rotation(kind: str, here: FloatArray, there: FloatArray) -> tuple[FloatArray, float]:
     """Return C (3, 3) that turns vectors ``here`` (N, 3) to ``there``, and how well they determine it [1].
 
-    That number is the extent across a straight line over that along it; for the heading, the smaller one of
-    both horizontal extents over the larger one, 0 for a point.
+    That number is the extent across a straight line over the extent along it; for the heading, the smaller
+    one of both horizontal extents over the larger one, 0 for a point.
     """
     if kind == YAW:
         B = there.T @ here

@@ -31,7 +31,7 @@ class RunClock:
     def of_log(cls, begin: float, end: float, origin: float) -> RunClock:
         """Return the clocks of a log with t = 0 at ``origin`` on the clock of its IMU [s].
 
-        That clock may count from 1980 or, in UTC, from 1970: the times of a file show which.
+        The clock of the IMU may count from 1980 or, in UTC, from 1970: the times of a file show which.
         """
         utc = origin - UNIX_TO_GPS
         readings = [origin] if may_be_gps(origin) else []

@@ -48,10 +48,10 @@ NOWHERE = Placing()
 
 
 def reject_placing(shown: str, **given: object) -> None:
-    """Raise ConfigError if values are given, by name, that place a local frame: positions have a place."""
+    """Raise ConfigError if values that place a local frame are given for positions that have a place."""
     names = [name for name, value in given.items() if value is not None]
     if names:
-        use = "only for positions in a local frame, and those of this file have a place; leave out"
+        use = "only for positions in a local frame; its positions are geodetic or Earth-fixed: leave out"
         raise ConfigError(f"{shown}: {', '.join(names)}: {use} {' and '.join(names)}")
 
 

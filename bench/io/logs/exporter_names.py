@@ -185,7 +185,10 @@ EXPORTERS = (
         ("gyroadc0", "gpscoord0"),
         {**_BLACKBOX, "alt_dm": ("gpsaltitude",)},
         FORWARD_LEFT_UP,
-        hints={"alt_dm": "taken as dm, of Betaflight 4; before it is cm", "accel_x": _DECODE},
+        hints={
+            "alt_dm": "taken as dm, as Betaflight 4 writes it; name it alt_cm for earlier versions",
+            "accel_x": _DECODE,
+        },
     ),
     # ROS: rostopic echo -p, bagpy, PlotJuggler; sensor_msgs/Imu and NavSatFix, axes of REP 103
     Exporter(

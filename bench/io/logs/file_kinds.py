@@ -23,6 +23,7 @@ _UNPACK = "unpack it first"
 _FLY = 'it has no IMU; fly it: trajectory = "FILE" in a profile'
 _TO_GPX = "it has fixes but no IMU; convert it to GPX to fly its track"
 _AS_TABLE = "write a table of it: bench guide log-format"
+_TITLES = "if they contain fixes, convert these to GPX to fly their track"
 _RECEIVER = "put it beside a table of an IMU, or compute fixes from its ranges: bench fixes FILE"
 
 
@@ -116,7 +117,7 @@ KINDS: Sequence[tuple[FileKind, Callable[[bytes], bool]]] = (
     ),
     (FileKind("a Garmin TCX file", _TO_GPX), _matches(rb"<TrainingCenterDatabase\b")),
     (FileKind("a Racelogic VBO file", _TO_GPX), _matches(rb"(?m)^\[column names\]")),
-    (FileKind("a file of subtitles", _TO_GPX), _matches(rb"\A\s*\d+\s+\d\d:\d\d:\d\d,\d{3} --> ")),
+    (FileKind("a file of subtitles (SRT)", _TITLES), _matches(rb"\A\s*\d+\s+\d\d:\d\d:\d\d,\d{3} --> ")),
     (
         FileKind(
             "an ArduPilot log converted to text", "use the .bin it was made from: bench new log FILE.bin"
@@ -129,7 +130,10 @@ KINDS: Sequence[tuple[FileKind, Callable[[bytes], bool]]] = (
     ),
     (FileKind("a Gyroflow log", f"it has gyros but no fixes; {_AS_TABLE}"), _begins(b"GYROFLOW IMU LOG")),
     (
-        FileKind("a recording of VectorNav messages", f"their times are not in it; {_AS_TABLE}"),
+        FileKind(
+            "a recording of VectorNav messages",
+            "they have no times; write a table with times: bench guide log-format",
+        ),
         _matches(rb"\A\$VN[A-Z]{3},"),
     ),
     # those of gpsd, {"class":..., may be above what a receiver sent
@@ -181,7 +185,10 @@ KINDS: Sequence[tuple[FileKind, Callable[[bytes], bool]]] = (
     ),
     (FileKind("a motion definition of gnss-ins-sim", _FLY), _begins(b"ini lat (deg),ini lon (deg)")),
     (
-        FileKind("a YUMA almanac", 'it has no ranges; simulate its satellites: almanac = "FILE" in a [sky]'),
+        FileKind(
+            "a YUMA almanac",
+            'it has no ranges; simulate its satellites: almanac = "FILE" in [sky] of a GNSS datasheet',
+        ),
         _matches(rb"\A\*+ Week \d+ almanac"),
     ),
     (

@@ -1,4 +1,4 @@
-"""Positions of a table in a local frame: their place on the Earth, which is assumed where none is given."""
+"""Positions of a table in a local frame: their place on the Earth, which is assumed if none is given."""
 
 from __future__ import annotations
 
@@ -24,20 +24,21 @@ def place_rows(
 ) -> tuple[LogRows, bool | None]:
     """Return rows with geodetic positions, and whether their place is known; None if they are not local.
 
-    Velocities along north, east, down and attitudes ``q_nb`` of the rows are those at the origin, from the
-    north axis of the frame.
+    Velocities along north, east, down and attitudes ``q_nb`` of the rows refer to the north axis of
+    the frame and to the horizontal at its origin.
 
     Raises
     ------
     ConfigError
-        If a frame is named for positions that are not local, or is none.
+        If a frame is named for positions that are not local, or its name is unknown.
     """
     named = LOCAL_AXES.get(table.stems["position"])
     if named is None:
         if placing.origin is not None or placing.frame is not None:
             key = "frame" if placing.origin is None else "origin"
             raise ConfigError(
-                f"{shown}: {key} is for local positions; it has {table.names['position'][0]}; leave it out"
+                f"{shown}: {key} is only for positions in a local frame, not for "
+                f"{table.names['position'][0]}: leave out {key}"
             )
         return rows, None
     axes = f"{named}-frd" if named else placing.frame or _FRAME
@@ -58,13 +59,13 @@ def place_rows(
         lat, lon = np.rad2deg(frame.origin[:2])
         assumed = (
             f"{note} at an assumed origin, {lat:.7g}, {lon:.7g} deg, {frame.origin[2]:.4g} m: set origin; "
-            "only differences of positions count, and gravity and Earth rate are those of that place"
+            "without it, gravity and Earth rate are of the assumed place, and only changes of position count"
         )
     return replace(rows, values=values, notes=(*rows.notes, note), assumed=assumed), known
 
 
 _TURNED = {"q_nb": 4, "vel_n": 3}
-"""What is turned with positions -> its width."""
+"""Values that are turned with the positions -> their width."""
 
 
 def _spread_rows(values: FloatArray, good: BoolArray, width: int) -> FloatArray:

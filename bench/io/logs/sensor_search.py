@@ -112,7 +112,7 @@ _FIX = (
 
 
 def _name_local(letters: str, *words: str) -> tuple[SensorQuantity, ...]:
-    """Return the columns of positions along three words, such as east, north, up, with what may be there."""
+    """Return the columns of positions along three directions, such as east, north, up, and of a fix."""
     patterns = tuple(rf"p(os(ition)?)?_?({word[0]}|{word})|{word}" for word in words)
     if letters == "xyz":  # without a unit they are those of a phone
         patterns = tuple(rf"(p(os(ition)?)?_?)?{letter}_m" for letter in letters)
@@ -241,7 +241,7 @@ def find_beside(imu: FoundSensor | None, path: Path, beside: Sequence[Path]) -> 
             raise ConfigError(message)
         names = list_columns(path)
         if not names:
-            raise ConfigError(f"{path.name}: is empty, or has comments alone")
+            raise ConfigError(f"{path.name}: is empty, or contains only comments")
         there = ", ".join(names[:30])[:300]
         if 2 * sum(map(is_number, names)) > len(names) or (len(names) == 1 and path.suffix not in TABLES[1:]):
             raise ConfigError(
@@ -254,9 +254,17 @@ def find_beside(imu: FoundSensor | None, path: Path, beside: Sequence[Path]) -> 
             where = f", there or in a table beside it ({named or 'there is none'})"
         elif "gnss" in found and found["gnss"].columns:
             where = f", only fixes: {', '.join(found['gnss'].columns.values())}"
-        because = f"; {wrong[0]}" if wrong else "; name them in a log of your own: bench guide log-format"
+        because = f"; {wrong[0]}" if wrong else f"; {_list_ways(missing[0], found)}"
         raise ConfigError(f"{path.name}: no columns found for {missing[0]}{where}; it has {there}{because}")
     return found
+
+
+def _list_ways(missing: str, found: Mapping[str, FoundSensor]) -> str:
+    """Return what to do about columns of a sensor that are not found."""
+    if missing == "imu" and "gnss" in found:
+        return "put it beside a table of the IMU, then: bench new log IMU.csv"
+    beside = "put a table of the fixes beside it, or " if missing == "gnss" else ""
+    return f"{beside}name them in a log of your own: bench guide log-format"
 
 
 def _name_form(found: FoundSensor) -> FoundSensor:
@@ -357,7 +365,7 @@ def _guess_unit(
 ) -> str:
     """Return the unit of a column by its values and the values of the columns that belong to it.
 
-    ``hint``: what to do if they have none.
+    ``hint``: what to do if the values fit no unit.
     """
     quantities = [q for ways in _KINDS.values() for way in ways for q in way]
     quantity = next((q for q in quantities if stem in q.stems), TIME)
@@ -372,7 +380,7 @@ def _guess_unit(
 
 def _refuse_force(path: Path, names: Sequence[str], hint: str = "") -> str:
     hint = hint or "increments are dtheta_x_rad, dvel_x_mps ...: bench guide log-format"
-    text = f"not gravity in m/s^2, g or mg, as a specific force has it; {hint}"
+    text = f"not gravity in m/s^2, g or mg, so not a specific force; {hint}"
     raise ConfigError(f"{path.name}: {', '.join(names)}: {text}")
 
 

@@ -62,7 +62,7 @@ def fly_commands(path: Path) -> TableMotion:
     state, commands = _read_commands(path)
     rows = np.array(list(_follow(state[3:], commands)))
     if len(rows) < 2:
-        raise ConfigError(f"{path.name}: its commands last no time")
+        raise ConfigError(f"{path.name}: the durations of its commands are 0 s")
     t, q_nb = np.arange(len(rows)) / _RATE, from_euler(rows[:, 2], rows[:, 1], rows[:, 0])
     vel_n = rotate(q_nb, rows[:, 3:])
     start = np.array([math.radians(state[0]), math.radians(state[1]), state[2]])
@@ -74,7 +74,7 @@ def fly_commands(path: Path) -> TableMotion:
         )
         lla = start + cumulative_trapezoid(vel_n / moved, t, axis=0, initial=0.0)
     if not (np.abs(lla[:, 0]) < math.radians(89.0)).all():
-        raise ConfigError(f"{path.name}: its commands lead within 1 deg of a pole")
+        raise ConfigError(f"{path.name}: its commands lead to within 1 deg of a pole")
     q_en = from_matrix(matrix_en(lla[:, 0], lla[:, 1]))
     note = f"{len(commands)} commands of gnss-ins-sim, at most {_FORCE:g} m/s^2 and {_TURN:g} rad/s"
     seen = {command[8:9] for command in commands}
@@ -98,7 +98,7 @@ def _read_commands(path: Path) -> tuple[list[float], list[tuple[float, ...]]]:
         raise ConfigError(f"{shown}: cannot be read: {' '.join(str(error).split())[:200]}") from None
     if len(lines) < 4:
         raise ConfigError(
-            f"{shown}: {len(lines)} lines; expected names and values of the state, names and commands"
+            f"{shown}: {len(lines)} lines; expected names, the initial state, names, and commands"
         )
     state = _read_numbers(lines[1], _LIMITS, shown)
     commands = [tuple(_read_numbers(line, _COMMAND, shown)) for line in lines[3:]]
@@ -120,7 +120,7 @@ def _read_numbers(line: tuple[int, list[str]], limits: Sequence[float], shown: s
         raise ConfigError(f"{shown}: line {number}: {len(values)} values; expected {len(limits)}")
     for k, (value, most) in enumerate(zip(values, limits, strict=False), 1):
         if not abs(value) <= most:
-            raise ConfigError(f"{shown}: line {number}: value {k} is {value:g}; at most {most:g} is read")
+            raise ConfigError(f"{shown}: line {number}: value {k} is {value:g}; expected at most {most:g}")
     return values
 
 

@@ -147,12 +147,16 @@ def _read_motion(spec: TableSpec) -> TableMotion:
         return make_motion(read_track(spec.path), track, shown)
     if is_motion_definition(spec.path):
         if spec.track is not None:
-            raise ConfigError(f"{shown}: [track] is not used: the commands have an attitude")
+            raise ConfigError(
+                f"{shown}: [track] is not used, because the commands contain an attitude: leave it out"
+            )
         return fly_commands(spec.path)
     table = read_table(spec.path, KINDS, ("velocity", "attitude"), MOST_ROWS)
     if "attitude" in table.columns:
         if spec.track is not None:
-            raise ConfigError(f"{shown}: [track] is not used: the table has an attitude")
+            raise ConfigError(
+                f"{shown}: [track] is not used, because the table contains an attitude: leave it out"
+            )
         return _check_rows(table, shown)
     table.check_groups({"attitude": _ATTITUDES}, shown)
     position = table.columns["position"]

@@ -58,9 +58,12 @@ def solve_fixes(
     navigation = [file for file, kind in kinds.items() if file not in observations]
     navigation = navigation or [file for file in observations if kinds[file] in ("ubx", *_STREAMS)]
     other = "; give the RINEX navigation file of the day, too"
-    for found, words, more in ((observations, "observations", ""), (navigation, "navigation", other)):
+    for found, words, more in (
+        (observations, "observation", "; give one, such as RINEX, UBX or SBF"),
+        (navigation, "navigation", other),
+    ):
         if not found:
-            raise ConfigError(f"{', '.join(map(str, files))}: no file of {words} is among them{more}")
+            raise ConfigError(f"{', '.join(map(str, files))}: no {words} file{more}")
     solved = solve_rinex(observations, navigation, **options)
     figures = solved.figures()
     title = f"{solved.name}: {solved.day}, {len(solved.fixes)} epochs"

@@ -38,7 +38,7 @@ def gps_seconds(year: int, month: int, day: int, second: float = 0.0) -> float:
 
 
 def may_be_gps(seconds: float) -> bool:
-    """Return whether a time [s] may count from 1980-01-06, and not from a start or within a week."""
+    """Return whether a time [s] may count from 1980-01-06, rather than from a start or within a week."""
     return 1e8 < seconds < 4e9
 
 

@@ -400,7 +400,7 @@ def test_truth_and_files_in_any_order(tmp_path, capsys):
     assert main(["fixes", *files, "--truth", "91,0,0"]) == 2
     assert "of a place on Earth" in capsys.readouterr().err
     assert main(["fixes", files[0]]) == 2
-    assert "no file of observations is among them" in capsys.readouterr().err
+    assert "no observation file; give one" in capsys.readouterr().err
 
 
 def test_a_navigation_file_without_a_readable_record_costs_only_itself(tmp_path):

@@ -249,7 +249,7 @@ def test_epochs_without_a_time_scrambled_or_damaged_are_left_out(tmp_path):
     raw = read_written(tmp_path / "a.sbf", *lost, good, good[:20])
     assert raw.origin + raw.t == pytest.approx([WEEK * 604_800 + 5.0])
     reasons = [
-        "2 epochs before the receiver had the time",
+        "2 epochs before the receiver set its clock",
         "1 epochs with ranges that the receiver scrambled",
     ]
     assert [text.partition(": ")[2] for text in raw.reasons] == [*reasons, "3 damaged blocks"]
@@ -299,12 +299,12 @@ def test_fixes_have_classes_of_rtklib_and_those_that_are_none_are_not_used(tmp_p
     assert np.isnan(values["sd_pos"][-1]).all()
     assert_allclose(values["sd_vel"][:2], [[np.nan] * 3, [1.0, 2.0, np.nan]])
     assert (values["satellites"] == 12.0).all()
-    assert "1 fixes before the receiver had the time" in found.notes[0]
+    assert "1 fixes before the receiver set its clock" in found.notes[0]
 
 
 def test_what_has_no_fix_is_refused_by_one_line(tmp_path):
     path = tmp_path / "a.sbf"
-    with pytest.raises(ConfigError, match="contains fixes, not the rows of an imu"):
+    with pytest.raises(ConfigError, match=r"a Septentrio SBF recording; put it beside a table of an IMU"):
         sbf_fixes.read("sbf", gnss_file(REAL), "imu", None)
     with pytest.raises(
         ConfigError, match=r"a\.sbf: has no fix \(SBF PVTGeodetic\); bench fixes a\.sbf computes"

@@ -368,7 +368,7 @@ def test_high_precision_positions_and_rows_that_are_no_fix(tmp_path):
     assert np.isfinite(found.values["lla"][:, 0]).tolist() == [True, False, False, False, True]
     assert found.values["quality"].tolist() == [5.0, 5.0, 5.0, 5.0, 2.0]
     assert any("1 damaged messages" in note for note in found.notes)
-    assert any("1 fixes before the receiver had the time" in note for note in found.notes)
+    assert any("1 fixes before the receiver set its clock" in note for note in found.notes)
     with pytest.raises(ConfigError, match="is a u-blox UBX recording; put it beside a table of an IMU"):
         ubx_fixes.read("ubx", path, "imu", None)
     path.write_bytes(epoch())

@@ -74,8 +74,8 @@ def test_epochs_before_the_receiver_has_the_time_are_left_out(tmp_path):
     raw = write_rawx(tmp_path / "cold.ubx", row, row, row, weeks=(0, 0, 2379))
     assert raw.origin + raw.t == pytest.approx([2379 * 604800 + 1002.0])
     assert raw.lost == 2
-    assert raw.reasons[0].endswith("2 epochs before the receiver had the time")
-    with pytest.raises(ConfigError, match=r"cold\.ubx: 1 epochs before the receiver had the time"):
+    assert raw.reasons[0].endswith("2 epochs before the receiver set its clock")
+    with pytest.raises(ConfigError, match=r"cold\.ubx: 1 epochs before the receiver set its clock"):
         write_rawx(tmp_path / "cold.ubx", row, weeks=(0,))
 
 

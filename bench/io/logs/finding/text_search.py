@@ -42,8 +42,9 @@ def find_texts(path: Path) -> dict[str, FoundSensor]:
     )
     if not (_FORCES[0] < force < _FORCES[1] and rate < _FASTEST):
         raise ConfigError(
-            f"{path.name}: no increments of an IMU as KF-GINS has them: second of week, angles [rad] and "
-            "velocities [m/s] forward, right, down. Others need a line of names: bench guide log-format"
+            f"{path.name}: no increments of an IMU in the columns of KF-GINS: second of week, angles [rad] "
+            "and velocities [m/s] forward, right, down. Other tables need a line of column names: "
+            "bench guide log-format"
         )
     faults = []
     for place in sorted(one for one in path.parent.iterdir() if one.suffix.lower() == TEXT and one != path):

@@ -33,7 +33,7 @@ _SPELLINGS = {
 }
 _ACCURACY = re.compile(r"(.*_)?(sd|std|stddev|sigma|var|cov|accuracy)(_.*)?")
 _NO_GRAVITY = re.compile(r"(.*_)?(linear|lin|free|user|gravity|bias|mag).*")
-"""What is beside the specific force in the tables of phones and filters."""
+"""Words of accelerations other than the specific force, in the tables of phones and filters."""
 
 
 def split_name(name: str) -> tuple[str, str]:

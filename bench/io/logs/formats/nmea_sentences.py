@@ -45,11 +45,14 @@ def read(form: str, path: Path, kind: str, topic: str | None) -> LogRows:
         raise ConfigError(f"{path.name}: no {kind.upper()} in NMEA sentences; {use}")
     rows, day, broken = _read_epochs(path)
     if not len(rows):
-        wrong = f", and {format_count(broken, 'sentence')} without a right checksum" if broken else ""
-        raise ConfigError(f"{path.name}: no GGA sentence with a time{wrong}")
+        have = "has" if broken == 1 else "have"
+        wrong = f"{format_count(broken, 'sentence')} {have} a wrong or no checksum; " if broken else ""
+        raise ConfigError(
+            f"{path.name}: no GGA sentence with a time; {wrong}let the receiver write GGA and RMC"
+        )
     if day is None:
         raise ConfigError(
-            f"{path.name}: no RMC sentence with a date and a fix, which times of GGA need; let the receiver "
+            f"{path.name}: no RMC sentence with a date and a fix, but GGA has no date: let the receiver "
             "write both"
         )
     values = {
@@ -175,7 +178,7 @@ def _parse_place(words: Sequence[str]) -> tuple[float, float, float, bool]:
 
 
 def _parse_clock(text: str) -> float:
-    """Return seconds of the day of hhmmss.sss; NaN if it is none."""
+    """Return the seconds of the day of hhmmss.sss; NaN if the text is not such a time."""
     clock = parse_number(text)
     return clock // 10_000 * 3600 + clock // 100 % 100 * 60 + clock % 100
 
@@ -189,7 +192,7 @@ def _parse_degrees(text: str, side: str) -> float:
 
 
 def parse_number(text: str | None) -> float:
-    """Return a number; NaN if the text is none."""
+    """Return a number; NaN if the text is not a number."""
     try:
         return float(text or "nan")
     except ValueError:

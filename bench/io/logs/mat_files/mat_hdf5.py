@@ -3,7 +3,7 @@
 MathWorks publishes only that they are HDF5 ("MAT-File Versions"); attributes and order are those in
 ``src/MAT_HDF5.jl`` of github.com/JuliaIO/MAT.jl. ``MATLAB_class`` names the class of a variable, a structure
 is a group, dimensions are in reverse order, and with ``MATLAB_empty`` the numbers are the dimensions of an
-empty array. Nothing but the numbers in the file is read: no links, no references, no data of other files.
+empty array. Only numbers in the file are read: no links, no references, no data of other files.
 """
 
 from __future__ import annotations
@@ -117,6 +117,6 @@ class _Reader:
         if item.attrs.get("MATLAB_empty", 0):
             shape = tuple(int(n) for n in numbers.ravel()[:32])
             if math.prod(shape) or min(shape, default=-1) < 0:
-                raise ValueError(f"{item.name!r} is not empty")
+                raise ValueError(f"{item.name!r} is marked as empty and is not")
             numbers = np.empty(shape)
         return numbers.reshape(-1) if numbers.ndim == 2 and 1 in numbers.shape else numbers

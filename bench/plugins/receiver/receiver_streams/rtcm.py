@@ -1,8 +1,8 @@
 """Read the observations in a stream of RTCM 3: MSM4 to MSM7 of four systems, and 1002, 1004, 1010 and 1012.
 
 The fields are those of RTCM 10403.3 as pyrtcm (github.com/semuconsulting/pyrtcm) and RTKLIB (rtcm3.c) list
-them. Messages have the time of the week or of the day: the date is that of an ephemeris. Of several stations
-the first one is read. A half-cycle ambiguity counts as lost count of the cycles.
+them. Messages contain the time of the week or of the day; an ephemeris gives the date. Of several stations
+the first one is read. A half-cycle ambiguity counts as a cycle slip.
 """
 
 from __future__ import annotations
@@ -107,7 +107,7 @@ def read_rtcm(path: Path, shown: str | None = None, near: float | None = None) -
     date = find_date(path, shown, near)
     if (date := near if date is None else date) is None:
         raise ConfigError(
-            f"{shown}: RTCM 3 has no date, and this file no ephemeris that tells it; "
+            f"{shown}: RTCM 3 has no date, and this file has no ephemeris, which would give it; "
             f"give the navigation file of the day, too: bench fixes {shown} NAV"
         )
     rows = _RtcmRows(date)
@@ -118,7 +118,7 @@ def read_rtcm(path: Path, shown: str | None = None, near: float | None = None) -
         raise ConfigError(f"{shown}: has no ranges (RTCM MSM4 to MSM7, 1002, 1004, 1010, 1012) in it")
     counts = {
         "damaged messages": rows.damaged,
-        "messages of another time than those around them": rows.late,
+        "messages out of order in time": rows.late,
         f"messages of other stations than {rows.station}": rows.foreign,
     }
     reasons = tuple(f"{shown}: {count} {words}" for words, count in counts.items() if count)
@@ -279,7 +279,7 @@ def _split(bits: NDArray[np.uint8], at: int, sizes: list[tuple[int, int]]) -> It
 
 
 def _scale(block: IntArray, width: int, step: float) -> FloatArray:
-    """Return signed numbers in a unit; NaN for the least one, which stands for none."""
+    """Return signed numbers in a unit; NaN for the least number, which means that a value is missing."""
     least = 1 << width - 1
     value = np.where(block >= least, block - 2 * least, block)
     return np.where(value == -least, np.nan, value * step)

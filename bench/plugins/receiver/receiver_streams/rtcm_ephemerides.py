@@ -73,7 +73,7 @@ MESSAGES: dict[int, tuple[int, Fields]] = {
 }  # fmt: skip
 """Number of a message -> its system and fields."""
 _WEEKS = {GPS: (1024, 0, 0.0), GALILEO: (4096, 1024, 0.0), BEIDOU: (8192, 1356, BEIDOU_LATE)}
-"""Weeks after which their number begins anew, GPS week of week 0, GPS time minus that of the system [s]."""
+"""Weeks after which their number begins anew, GPS week of week 0, GPS time minus time of the system [s]."""
 
 
 def read_messages(path: Path, shown: str) -> Iterator[tuple[int, bytes | None]]:
@@ -84,7 +84,7 @@ def read_messages(path: Path, shown: str) -> Iterator[tuple[int, bytes | None]]:
 
 @cache
 def _tabulate_crc() -> IntArray:
-    """Return the CRC-24Q (1029, 256) of each byte with so many zero bytes behind it."""
+    """Return the CRC-24Q (1029, 256) of each byte with 0 to 1028 zero bytes behind it."""
     first = np.arange(256) << 16
     for _ in range(8):
         first = (first << 1 & 0xFFFFFF) ^ np.where(first >> 23, _CRC_24Q, 0)
@@ -95,7 +95,7 @@ def _tabulate_crc() -> IntArray:
 
 
 def _measure(content: bytes, at: int) -> int:
-    """Return where the frame at a place ends; 0 if it has no number, or the CRC with its own is not 0."""
+    """Return where the frame at a place ends; 0 if it has no message number or a wrong CRC."""
     length = 6 + int.from_bytes(content[at + 1 : at + 3])
     frame = np.frombuffer(content[at : at + length], np.uint8)
     if len(frame) < max(length, 8):
@@ -136,7 +136,7 @@ def find_time(number: int, found: dict[str, float], near: float | None) -> float
 
 
 def find_date(path: Path, shown: str, near: float | None) -> float | None:
-    """Return the time of an ephemeris in a stream [s since 1980-01-06], of several one with a whole week."""
+    """Return the time of an ephemeris in a stream [s since 1980-01-06], preferably one with a whole week."""
     unsure = None
     for number, payload in read_messages(path, shown):
         if number not in MESSAGES or payload is None or (found := decode_ephemeris(number, payload)) is None:

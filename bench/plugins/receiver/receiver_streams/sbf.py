@@ -58,7 +58,7 @@ _FDMA, _SEMICODELESS = range(8, 12), (1, 2)  # signals with a channel, and those
 _LONG = 254  # the longest time of lock of all signals [s]
 _NO_TIME, _NO_WEEK, _NOTHING = 0xFFFFFFFF, 0xFFFF, -2e10
 _MOST = 1e7  # of all fields in their units; the largest are those of the ionosphere
-_DAMAGED, _EARLY = "damaged blocks", "epochs before the receiver had the time"
+_DAMAGED, _EARLY = "damaged blocks", "epochs before the receiver set its clock"
 _SCRAMBLED = "epochs with ranges that the receiver scrambled"
 _KEPLER = (
     " t_oc af_2 af_1 af_0 c_rs delta_n mean_anomaly c_uc e c_us sqrt_a t_oe_week c_ic node_0 c_is i_0 c_rc"
@@ -104,7 +104,7 @@ def find_time(body: bytes) -> float | None:
 
 
 def has_ranges(path: Path, shown: str) -> bool:
-    """Return whether a stream has ranges, also such as cannot be read, or no ephemerides either."""
+    """Return whether a stream has ranges, readable or not, or neither ranges nor ephemerides."""
     numbers = set[int]()
     for number, _ in read_blocks(path, shown):
         if number in (_RANGES, _COMPACT_RANGES):
@@ -120,7 +120,7 @@ def _find_frequency(signal: int, channel: int) -> float:
 
 
 def _join(high: int, low: int, least: int, unit: float) -> float:
-    """Return a number of two parts; NaN for the least one, which stands for none."""
+    """Return a number of two parts; NaN for the least number, which means that the value is missing."""
     return np.nan if (high, low) == (least, 0) else unit * ((high << 16) + low)
 
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from bench.core.mathematics.arrays import FloatArray
 from bench.core.words.exceptions import ConfigError
+from bench.io.logs.file_kinds import describe_unreadable
 from bench.io.logs.rows import MOST_ROWS, LogRows, spread_accuracy
 from bench.plugins.receiver.receiver_streams.sbf import find_time, read_blocks
 
@@ -37,11 +38,11 @@ _FLAT = 0x80  # bit of the mode: the height is assumed
 def read(form: str, path: Path, kind: str, topic: str | None) -> LogRows:
     """Read the fixes of an SBF stream.
 
-    ``quality`` is that of RTKLIB: 1 fixed, 2 float, 3 SBAS, 4 DGPS, 5 single, 6 PPP. Without PosCovGeodetic,
-    positions have half the accuracies of PVTGeodetic, which are 2 sigma.
+    ``quality`` has the classes of RTKLIB: 1 fixed, 2 float, 3 SBAS, 4 DGPS, 5 single, 6 PPP. Without
+    PosCovGeodetic, positions get half the accuracies of PVTGeodetic, which are 2 sigma.
     """
     if kind != "gnss":
-        raise ConfigError(f"{path.name}: an SBF recording contains fixes, not the rows of an {kind}")
+        raise ConfigError(describe_unreadable(path, f"no {kind.upper()} in an SBF recording"))
     bodies: dict[int, list[bytes]] = {number: [] for number in _LAYOUTS}
     damaged = early = 0
     for number, body in read_blocks(path, path.name):
@@ -75,7 +76,7 @@ def read(form: str, path: Path, kind: str, topic: str | None) -> LogRows:
         "quality": quality,
         "satellites": np.where(rows["satellites"] == 0xFF, np.nan, rows["satellites"].astype(float)),
     }
-    counts = ((damaged, "damaged blocks"), (early, "fixes before the receiver had the time"))
+    counts = ((damaged, "damaged blocks"), (early, "fixes before the receiver set its clock"))
     notes = tuple(f"{path.name}: {count} {words} are left out" for count, words in counts if count)
     found = {name: value for name, value in values.items() if name == "lla" or np.isfinite(value).any()}
     return LogRows(_find_times(rows), found, notes)

@@ -59,7 +59,7 @@ LAYOUTS = {RAWX: FrameLayout(16, 32, 11), SFRBX: FrameLayout(8, 4, 4)}
 def read_messages(
     path: Path, shown: str, layouts: Mapping[bytes, FrameLayout]
 ) -> Iterator[tuple[bytes, bytes | None]]:
-    """Yield class and number of each message of some layouts, and its payload, None if it is damaged."""
+    """Yield class and number of each message with one of the layouts, and its payload, None if damaged."""
     sync = re.compile(b"\xb5\x62(" + b"|".join(re.escape(kind) for kind in layouts) + b")", re.DOTALL)
 
     def measure(content: bytes, at: int) -> int:
@@ -134,7 +134,7 @@ def read_ubx(path: Path, shown: str | None = None) -> ObservationFile:
             damaged += 1
         else:
             rows.add(message)
-    early = f"{shown}: {rows.early} epochs before the receiver had the time"
+    early = f"{shown}: {rows.early} epochs before the receiver set its clock"
     if not rows.table.seconds:
         text = early if rows.early else f"{shown}: has no raw measurements (UBX-RXM-RAWX) in it"
         raise ConfigError(text)

@@ -64,7 +64,7 @@ def read(form: str, path: Path, kind: str, topic: str | None) -> LogRows:
         raise ConfigError(f"{path.name}: has {what}; bench fixes {path.name} computes fixes from its ranges")
     notes = [f"{path.name}: {damaged} damaged messages are left out"] if damaged else []
     if not timed.all():
-        notes.append(f"{path.name}: {(~timed).sum()} fixes before the receiver had the time are left out")
+        notes.append(f"{path.name}: {(~timed).sum()} fixes before the receiver set its clock are left out")
     rows = rows[timed]
     t = _find_times(rows)
     place = np.column_stack([1e-7 * rows["lat"], 1e-7 * rows["lon"], 1e-3 * rows["height"]])
