@@ -12,7 +12,7 @@ import psutil
 def limit_memory(beyond: int) -> Iterator[Callable[[int], None]]:
     """Limit the memory that this process may take in addition [byte]; beyond it there is a MemoryError.
 
-    Provides a function that makes room for columns [byte]. Without effect but on Linux.
+    Provides a function that makes room for columns [byte]. It has an effect on Linux only.
     """
     own = psutil.Process()
     if not hasattr(own, "rlimit"):  # not Linux: the limit of the system

@@ -32,7 +32,7 @@ GNSSLOGGER = "an Android GnssLogger file"
 UBX, RINEX, NMEA = "a u-blox UBX recording", "a RINEX file", "a file of NMEA 0183 sentences"
 RTCM, SBF = "a recording of RTCM 3 messages", "a Septentrio SBF recording"
 SBET = "an SBET trajectory"
-"""Names of the kinds that bench reads somewhere."""
+"""Names of the kinds for which bench has a reader."""
 
 
 class FileKind(NamedTuple):

@@ -156,7 +156,7 @@ def _align(
 def _read_rows(
     spec: ReferenceSpec, placing: Placing
 ) -> tuple[LogRows, FloatArray, FloatArray | None, bool | None]:
-    """Return the rows of a file, the attitude (N, 4) and its sd (N, 3), if it has them, and `place_rows`'."""
+    """Return the rows of a file, attitude (N, 4), its sd (N, 3) if given, and the place as `place_rows`."""
     source, shown = spec.source, spec.source.path.name
     knows = find_format(source.format).knows
     if knows and source.topic is None and look(source.format, source.path).truth:

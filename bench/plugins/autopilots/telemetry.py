@@ -215,7 +215,9 @@ def read_estimate(path: Path, instance: int | None) -> OwnEstimate:
     """Return the estimate of the autopilot, with heights over the ellipsoid if the receiver gives both."""
     log = _open_log(path)
     if not {"GLOBAL_POSITION_INT", "ATTITUDE"} <= log.messages.keys() or instance is not None:
-        raise ConfigError(f"{path.name}: one estimate at most: GLOBAL_POSITION_INT and ATTITUDE")
+        raise ConfigError(
+            f"{path.name}: its only estimate is in GLOBAL_POSITION_INT and ATTITUDE, without a topic"
+        )
     place, turn = log.messages["GLOBAL_POSITION_INT"], log.messages["ATTITUDE"]
     fixes = log.messages.get("GPS_RAW_INT")
     undulation = 0.0

@@ -85,7 +85,7 @@ def test_a_row_takes_no_more_than_its_numbers(tmp_path):
 
 
 def test_another_estimate_is_a_line_with_the_name_of_the_file(tmp_path):
-    with pytest.raises(ConfigError, match=r"^a\.tlog: one estimate at most"):
+    with pytest.raises(ConfigError, match=r"^a\.tlog: its only estimate is in"):
         telemetry.read_estimate(write_telemetry(tmp_path / "a.tlog"), 1)
 
 

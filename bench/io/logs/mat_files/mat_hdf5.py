@@ -22,7 +22,7 @@ _NUMERIC |= {"double", "single", "logical"}
 _FILTERS = {1, 2, 3}  # deflate, shuffle, Fletcher's check sum: those of MATLAB; others could load libraries
 _MOST_VARIABLES = 100_000  # with the fields of structures
 _REFERENCES = object()
-"""A field without a class, as an array of structures has them."""
+"""A field without a class: a reference, as in an array of structures."""
 _BESIDE = 256_000_000  # memory of the library beside the numbers [byte]
 
 

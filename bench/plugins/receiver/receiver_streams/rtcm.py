@@ -172,7 +172,7 @@ class _RtcmRows:
         self._open = False
 
     def _begin(self, system: int, second: float) -> bool:
-        """Begin the epoch of a message, if it is a new one; return whether it is not before others."""
+        """Begin the epoch of a message if it is new; return False if it is earlier than an epoch before."""
         period = DAY if system == GLONASS else WEEK
         if system == GLONASS:
             second += leap_seconds(to_date(self._near)) - MOSCOW
@@ -188,7 +188,7 @@ class _RtcmRows:
         return True
 
     def _take_legacy(self, system: int, number: int, payload: bytes) -> bool:
-        """Take a message of before the MSM; return whether it is whole."""
+        """Take a message of the time before MSM; return whether it is complete."""
         fields, start = _LEGACY[number], 64 if system == GPS else 61
         width = sum(abs(count) for _, count, _ in fields)
         count = int((_decode(payload, start - 9, [("count", 5, 1)]) or {"count": 0})["count"])
@@ -214,7 +214,7 @@ class _RtcmRows:
         return True
 
     def _take_msm(self, system: int, number: int, payload: bytes) -> bool:
-        """Take a multiple signal message; return whether it is whole."""
+        """Take a multiple signal message; return whether it is complete."""
         bits = np.unpackbits(np.frombuffer(payload, np.uint8))
         sats = np.flatnonzero(bits[_MASKS : _MASKS + 64]) + 1
         signals = np.flatnonzero(bits[_MASKS + 64 : _CELLS]) + 1
@@ -271,7 +271,7 @@ def _decode(payload: bytes, start: int, fields: Fields) -> dict[str, float] | No
 
 
 def _split(bits: NDArray[np.uint8], at: int, sizes: list[tuple[int, int]]) -> Iterator[IntArray]:
-    """Yield blocks of numbers of so many bits each, and so many of them."""
+    """Yield a block of numbers for each of ``sizes``: width of a number [bit], and count."""
     for width, count in sizes:
         block = bits[at : at + width * count].reshape(count, width)
         yield block @ (1 << np.arange(width - 1, -1, -1))

@@ -172,7 +172,7 @@ class BroadcastParts:
             self._sets[which].append(row)
 
     def make_file(self, shown: str, wanted: str, advice: str = "") -> NavigationFile:
-        """Return the ephemerides found; raise ConfigError without any, which names the wanted messages."""
+        """Return the ephemerides found; if there is none, raise ConfigError with the ``wanted`` messages."""
         if not any(self._sets.values()):
             usual = "; give the navigation file of the day, too: bench fixes OBS NAV"
             raise ConfigError(f"{shown}: has no {wanted} in it{advice or usual}")
