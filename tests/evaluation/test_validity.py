@@ -183,6 +183,12 @@ def test_slow_noise_of_a_velocity_is_no_unit():
         assert len(velocity_checks.check_ratios(by_position, by_velocity)) == wrong
 
 
+def test_a_vertical_velocity_of_zero_is_not_compared():
+    """A receiver without one says 0 while its heights change."""
+    path = np.sin(np.arange(90) / np.array([[9.0], [7.0], [5.0]])).T
+    assert velocity_checks.check_ratios(path, path * [1.0, 1.0, 0.0]) == []
+
+
 def test_without_enough_velocities_in_a_row_nothing_is_compared():
     said = {}
     for count in (21, 22):

@@ -94,12 +94,13 @@ def check_ratios(by_position: FloatArray, by_velocity: FloatArray) -> list[Check
     """Compare the size of mean velocities (M, 3) with the positions, axis by axis."""
     found = []
     for axis, reference, value in zip(("north", "east", "down"), by_position.T, by_velocity.T, strict=True):
-        ratio, sd = fit_ratio(value, reference)
         jitter = float(np.std(np.diff(value, 2))) / np.sqrt(6.0)  # its noise, if it is white
-        still = float(np.sqrt(np.mean(value**2))) < max(_MOVED * jitter, _SLOWEST)
+        if float(np.sqrt(np.mean(value**2))) < max(_MOVED * jitter, _SLOWEST):
+            continue
+        ratio, sd = fit_ratio(value, reference)
         other = 1.0 / fit_ratio(reference, value)[0]  # by noise of the velocity a ratio is small, this large
         low, high = sorted((ratio - 1.0, other - 1.0))
-        if still or low <= 0.0 <= high or min(abs(low), abs(high)) <= max(GAIN_OFF, SIGMAS * sd):
+        if low <= 0.0 <= high or min(abs(low), abs(high)) <= max(GAIN_OFF, SIGMAS * sd):
             continue
         off, unit = min((abs(ratio * factor - 1.0), unit) for unit, factor in UNITS.items())
         guess = f"are these {unit}?" if off < 0.1 else "the unit or a sign looks wrong"
