@@ -68,3 +68,35 @@ def test_a_solution_without_biases_has_a_velocity_at_the_antenna(case):
     assert np.isfinite(errors[0].vel_n).all()
     np.testing.assert_array_equal(errors[0].vel_n, errors[1].vel_n)
     assert np.abs(errors[0].vel_n).max() > 0.0
+
+
+def test_errors_at_a_point_by_hand(case):
+    """Level and north, 3 m ahead: 0.2 rad/s of which 0.05 are bias move it right by 0.45 m/s.
+
+    1 m^2 of position, 0.01 rad^2 of heading and 0.02 m rad between them: 1 + 9 * 0.01 + 2 * 3 * 0.02.
+    """
+    data, solution = case
+    turning = np.tile([0.0, 0.0, 0.2], (len(data.imu), 1)) * data.imu.dt[:, None]
+    cov = np.zeros_like(solution.cov)
+    cov[:, 1, 1], cov[:, 8, 8], cov[:, 1, 8], cov[:, 8, 1] = 1.0, 0.01, 0.02, 0.02
+    north = replace(
+        solution,
+        q_nb=np.tile([1.0, 0.0, 0.0, 0.0], (len(solution), 1)),
+        gyro_bias_b=np.tile([0.0, 0.0, 0.05], (len(solution), 1)),
+        cov=cov,
+    )
+    imu = replace(data.imu, dtheta_b=turning)
+    exact = replace(solution, cov=np.zeros_like(cov))
+    errors, moved = fixes.point_errors(north, exact, np.array([3.0, 0.0, 0.0]), imu)
+    np.testing.assert_allclose(errors.vel_n, np.tile([0.0, 0.45, 0.0], (len(north), 1)), atol=1e-12)
+    np.testing.assert_allclose(errors.pos_n[:, 0], 3.0, atol=1e-5)
+    np.testing.assert_allclose(moved.cov[:, 1, 1], 1.21)
+
+
+def test_the_accuracy_of_a_fix_is_that_of_its_position_and_its_velocity(case):
+    data, solution = case
+    eye = np.tile(np.eye(3), (len(data.fixes), 1, 1))
+    given = replace(data.fixes, cov_pos_n=4.0 * eye, cov_vel_n=0.09 * eye)
+    exact = replace(solution, cov=np.zeros_like(solution.cov))
+    moved = fixes.antenna_errors(exact, given, data)[1]
+    np.testing.assert_allclose(np.einsum("kii->ki", moved.cov)[:, :6], [[4.0] * 3 + [0.09] * 3] * len(moved))
