@@ -305,6 +305,13 @@ def test_the_turn_between_the_triads_is_told_in_degrees(sd_deg, good):
         assert found.value == pytest.approx(10.0)
 
 
+@pytest.mark.parametrize(("rise", "good"), [(12.4, True), (12.6, False)])
+def test_a_turn_between_the_triads_is_told_if_the_likelihood_rises_by_five_deviations(rise, good):
+    """Half of 5 squared; else the motion does not show it."""
+    found = motion_checks.check_triads(fitted(0.001, turn_z=1.2), lambda: rise)
+    assert (found.good, found.value is None) == (good, good)
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("name", [entry.name for entry in list_profiles()])
 def test_every_shipped_profile(name):
@@ -398,12 +405,16 @@ def test_a_shift_of_the_clocks_counts_beyond_20_ms_and_five_deviations(shift, sd
             "more likely only the receiver's velocity is late: add -0.200 to [gnss]",
         ),
         (-0.15, 0.005, "imu.time_offset_s", "add +0.200 to [imu] time_offset_s"),
+        (-0.105, 0.05, "imu.time_offset_s", ", or its velocity alone is late: -0.200 to [gnss]"),
+        (-0.13, 0.06, "imu.time_offset_s", ", or its velocity alone is late: -0.200 to [gnss]"),
+        (-0.14, 0.06, "gnss.velocity_offset_s", "or rather its velocity alone is late: add -0.200 to [gnss]"),
     ],
 )
 def test_a_clock_is_told_from_a_late_velocity_by_the_positions(late, late_sd, key, told):
-    """They say how late the velocity is; where that is rather the shift of the clock, it is the velocity."""
+    """They say how late the velocity is; where that is 7.4 times likelier by it, it is not the clock."""
     found = motion_checks.check_shift(fitted(0.001, shift=0.2), 0.0, late, late_sd)
-    assert (list(found.advice), abs(found.advice[key])) == ([key], pytest.approx(0.2))
+    given = 0.2 if key == "imu.time_offset_s" else -0.2
+    assert (list(found.advice), found.advice[key]) == ([key], pytest.approx(given))
     assert told in found.text
     assert ("only the receiver's velocity is late" in found.text) == (abs(0.2 + late) < 5.0 * late_sd)
 
@@ -550,7 +561,7 @@ def test_the_tilt_of_the_mean_force_is_told_in_degrees(monkeypatch):
     )
     sound = motion_checks.Check("x", None, "", True)
     monkeypatch.setattr(motion_checks, "find_stretches", lambda *given: [1])
-    monkeypatch.setattr(motion_checks, "explain", lambda *given: one)
+    monkeypatch.setattr(motion_checks, "explain_as_given", lambda *given: one)
     monkeypatch.setattr(motion_checks, "_name", lambda *given: (one, "", True))
     for name in ("shift", "rate_gain", "force_gain", "triads", "arm", "forward_axis"):
         monkeypatch.setattr(motion_checks, f"check_{name}", lambda *given: sound)

@@ -112,7 +112,7 @@ def test_steps_of_the_fit_are_those_of_a_least_squares_over_all_unknowns(stretch
         assert_allclose(fit.C_nb, C_nb, atol=2e-3)
         assert_allclose(fit.heading_sd, heading_sd, rtol=0.02)
         motion = motion_fit.integrate(stretches, T, GYRO, ACCEL, fit.values)
-        own = motion_fit._compare(stretches, motion, ARM, fit.values)
+        own = motion_fit._compare(stretches, motion, ARM, motion_fit.PRIOR_SD, fit.values)
         own_H = np.diag(motion_fit.PRIOR_SD**-2) + np.einsum("w,wij->ij", weights, own.normals)
         S = weights[:, None] * own.scores
         if steps == 0:  # later they leave out products of a bias or a turn with what it changes

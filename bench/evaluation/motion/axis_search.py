@@ -11,12 +11,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bench.core.mathematics.arrays import FloatArray
+from bench.core.mathematics.arrays import FloatArray, IntArray
 from bench.core.mathematics.rotation import list_signed_axes
 from bench.evaluation.motion.clock_search import find_offsets
 from bench.evaluation.motion.motion_fit import (
     MOTION_NOISE,
+    PRIOR_SD,
     SHIFT,
+    TURN,
     MotionFit,
     Stretches,
     find_stretches,
@@ -33,7 +35,10 @@ _TURNS = (25.0, 0.5)  # rms rate in rms rates of the course beyond which the uni
 _RATES = (1.0, 0.01)  # the same for the rms rate itself [rad/s]
 _STEPS = (-0.6, -0.3, 0.3, 0.6)  # to either side of an offset: a gait fits near every step, too [s]
 _ROUNDS = 4  # from step to step
+_HELD = 1e-4  # sd of a turn between the triads that is held at 0 [rad]
 _DEGREE = np.pi / 180.0
+FIT_WELL = 0.1
+"""No other axes are tried if no segment has a larger residual [m/s]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,10 +67,14 @@ class Explained:
     fit: MotionFit
 
     @property
+    def free(self) -> IntArray:
+        """Number (W,) of independent residuals in each segment."""
+        return np.asarray(3 * np.diff(self.stretches.begin) - 6)
+
+    @property
     def cost(self) -> float:
         """Negative logarithm of the likelihood of a residual, with an unknown noise in every segment."""
-        free = 3 * np.diff(self.stretches.begin) - 6
-        return float(0.5 * free @ np.log(self.fit.rms**2 + MOTION_NOISE**2) / free.sum())
+        return float(0.5 * self.free @ np.log(self.fit.rms**2 + MOTION_NOISE**2) / self.free.sum())
 
 
 def explain(
@@ -74,6 +83,8 @@ def explain(
     one: Hypothesis,
     stretches: Stretches | None = None,
     iterations: int = 20,
+    prior_sd: FloatArray = PRIOR_SD,
+    start: FloatArray | None = None,
 ) -> Explained | None:
     """Return the fit under a hypothesis, on all stretches or on those given; None without any."""
     imu_t = motion.t + one.offset
@@ -82,8 +93,33 @@ def explain(
         return None
     near = stretches.find_near(imu_t)
     gyro = one.unit * motion.gyro[near] @ one.gyro.T
-    fit = fit_motion(stretches, imu_t[near], gyro, motion.accel[near] @ one.accel.T, antenna_b, iterations)
+    accel = motion.accel[near] @ one.accel.T
+    fit = fit_motion(stretches, imu_t[near], gyro, accel, antenna_b, iterations, prior_sd, start)
     return Explained(one, stretches, fit)
+
+
+def explain_with_one_frame(motion: RecordedMotion, antenna_b: FloatArray, one: Explained) -> Explained:
+    """Return the fit under the same hypothesis with no turn between the triads."""
+    prior_sd = PRIOR_SD.copy()
+    prior_sd[TURN] = _HELD
+    found = explain(motion, antenna_b, one.hypothesis, one.stretches, prior_sd=prior_sd)
+    assert found is not None
+    return found
+
+
+def explain_as_given(motion: RecordedMotion, antenna_b: FloatArray) -> Explained | None:
+    """Return the better of two fits of a recording as it is; None without stretches.
+
+    Where little turns, the fit may end at a large turn between the triads that is not the best. So if it is
+    poor it starts once more, from that without a turn.
+    """
+    free = explain(motion, antenna_b, AS_GIVEN)
+    if free is None or free.fit.rms.max() < FIT_WELL:
+        return free
+    start = explain_with_one_frame(motion, antenna_b, free).fit.values
+    again = explain(motion, antenna_b, AS_GIVEN, free.stretches, start=start)
+    assert again is not None
+    return min(free, again, key=lambda one: one.cost)
 
 
 def _find(motion: RecordedMotion, offset: float, down: float) -> Stretches:
@@ -137,7 +173,7 @@ def search(motion: RecordedMotion, antenna_b: FloatArray, plain: Explained) -> E
             np.mean([np.var(plain.stretches.vel_n[rows], axis=0).sum() for rows in plain.stretches.slices])
         )
     )
-    enough = max(_RISE, _EVIDENCE / float((3 * np.diff(plain.stretches.begin) - 6).sum()))
+    enough = max(_RISE, _EVIDENCE / float(plain.free.sum()))
 
     def choose(best: Explained, one: Hypothesis) -> Explained:
         found = explain(motion, antenna_b, one)

@@ -7,6 +7,7 @@ beyond a limit and 5 of its own standard deviations.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +15,16 @@ import numpy as np
 from bench.core.mathematics.arrays import FloatArray
 from bench.core.mathematics.units import STANDARD_GRAVITY
 from bench.evaluation.motion.axis_names import name_axes
-from bench.evaluation.motion.axis_search import AS_GIVEN, Explained, Hypothesis, explain, search
+from bench.evaluation.motion.axis_search import (
+    AS_GIVEN,
+    FIT_WELL,
+    Explained,
+    Hypothesis,
+    explain,
+    explain_as_given,
+    explain_with_one_frame,
+    search,
+)
 from bench.evaluation.motion.motion_fit import (
     LENGTH,
     MOTION_NOISE,
@@ -50,8 +60,8 @@ _ROUGH_SD = np.deg2rad(10.0)  # the same to tell which axis is forward [rad]
 _FORWARD = 0.8  # length of the mean direction of the motion in the vehicle if it moves forward [1]
 _SIDEWAYS = 0.35  # rms of the sine of the angle from the forward axis to the motion, if it does [1]
 _WIND_SD, _WIND_SHARE = 15.0, 0.3  # what the wind may be [m/s], and of the speed over ground [1]
+_LIKELIER = 2.0  # logarithm of the likelihood by which rather a velocity is late than a clock wrong
 _LEAP, _LEAP_OFF = (13, 18), 0.3  # seconds between UTC and GPS time since 1999, and how near a shift must be
-_FIT_WELL = 0.1  # no other axes are tried if no segment has a larger residual [m/s]
 
 
 def check_motion(motion: RecordedMotion, antenna_b: FloatArray) -> tuple[list[Check], Hypothesis]:
@@ -67,9 +77,9 @@ def check_motion(motion: RecordedMotion, antenna_b: FloatArray) -> tuple[list[Ch
     if not motion.moves:
         text = "imu: nothing moves: clocks, units and axes of gyros, and the lever arm do not show"
         return [Check("imu_shift_s", None, text, True)], AS_GIVEN
-    given = explain(motion, antenna_b, AS_GIVEN)
+    given = explain_as_given(motion, antenna_b)
     assert given is not None
-    best = given if given.fit.rms.max() < _FIT_WELL else search(motion, antenna_b, given)
+    best = given if given.fit.rms.max() < FIT_WELL else search(motion, antenna_b, given)
     best, words, forward = _name(motion, antenna_b, best)
     h, fit = best.hypothesis, best.fit
     found = []
@@ -92,7 +102,7 @@ def check_motion(motion: RecordedMotion, antenna_b: FloatArray) -> tuple[list[Ch
         check_rate_gain(fit, h.unit),
         check_force_gain(fit),
     ]
-    found.append(check_triads(fit))
+    found.append(check_triads(fit, lambda: _weigh_turn(motion, antenna_b, best)))
     unknown_arm = bool(words) and not forward
     found.append(_unknown("arm_off_m", "where the antenna is") if unknown_arm else check_arm(fit, antenna_b))
     found.append(check_forward_axis(fit, best.stretches))
@@ -119,6 +129,12 @@ def _name(motion: RecordedMotion, antenna_b: FloatArray, best: Explained) -> tup
         assert again is not None
         best = again
     return best, named.text, ahead is not None
+
+
+def _weigh_turn(motion: RecordedMotion, antenna_b: FloatArray, best: Explained) -> float:
+    """Return by how much the logarithm of the likelihood rises with the turn between the triads."""
+    without = explain_with_one_frame(motion, antenna_b, best)
+    return float((without.cost - best.cost) * best.free.sum())
 
 
 def _take(fit: MotionFit, name: str) -> tuple[float, float]:
@@ -155,7 +171,7 @@ def check_shift(fit: MotionFit, offset: float = 0.0, late: float = 0.0, late_sd:
             late_sd > abs(shift + late) / SIGMAS,
             f"{-shift:+.3f} to [gnss] velocity_offset_s",
         )
-        if may_be_late and abs(shift + late) < abs(late):
+        if may_be_late and late**2 - (shift + late) ** 2 > 2.0 * _LIKELIER * late_sd**2:
             text += f", more likely only the receiver's velocity is late: add {by_velocity}"
             return Check("imu_shift_s", shift, text, False, {"gnss.velocity_offset_s": -shift})
         text += f": add {shift:+.3f} to [imu] time_offset_s"
@@ -219,11 +235,16 @@ def guess_force_unit(ratio: float) -> str:
     return ": the unit or the scale looks wrong"
 
 
-def check_triads(fit: MotionFit) -> Check:
-    """Check that gyros and accelerometers share their axes."""
+def check_triads(fit: MotionFit, weigh: Callable[[], float] = lambda: np.inf) -> Check:
+    """Check that gyros and accelerometers share their axes.
+
+    A large turn is far from linear, so its standard deviation may be too small: by ``weigh``, which returns
+    by how much the logarithm of the likelihood rises with the turn, it is told if that is `SIGMAS` as well.
+    """
     each = [_take(fit, f"turn_{axis}") for axis in "xyz"]
     bad = [_is_off(turn, sd, TRIADS_OFF) for turn, sd in each]
-    if not any(bad) and max(sd for _, sd in each) > TRIADS_OFF:
+    alike = any(bad) and weigh() < 0.5 * SIGMAS**2
+    if alike or (not any(bad) and max(sd for _, sd in each) > TRIADS_OFF):
         return _unknown("triads_deg", "whether gyros and accelerometers have the same axes")
     turns = np.rad2deg([turn for turn, _ in each])
     shown = ", ".join(f"{turn:+.1f}" for turn in turns)

@@ -39,7 +39,7 @@ NAMES = (
 PRIOR_SD = np.array([0.1] * 3 + [1.0] + [1.0] * 3 + [1.0] + [1.0] * 3 + [1.0] + [0.5] * 3)
 _LONGEST = 2.0  # step of an iteration, in these standard deviations: a wrong unit is far from linear
 _KERNEL = 11  # parameters whose derivatives are integrated
-_GYRO_GAIN, _ACCEL_GAIN, SHIFT, _ARM = 3, 7, 11, slice(12, 15)
+_GYRO_GAIN, _ACCEL_GAIN, TURN, SHIFT, _ARM = 3, 7, slice(8, 11), 11, slice(12, 15)
 LENGTH = 20.0  # of a segment [s]
 _FEWEST = 8  # fixes in a segment
 MOST_SEGMENTS = 150  # segments; those in which the velocity changes most are used
@@ -236,6 +236,8 @@ def fit_motion(
     accel: FloatArray,
     arm_b: FloatArray,
     iterations: int = 20,
+    prior_sd: FloatArray = PRIOR_SD,
+    start: FloatArray | None = None,
 ) -> MotionFit:
     """Fit all parameters.
 
@@ -249,21 +251,26 @@ def fit_motion(
         Antenna relative to the IMU as assumed [m], b.
     iterations : int
         Most Gauss-Newton steps; late ones after which the fit is worse are shortened.
+    prior_sd : (15,) array
+        Standard deviations of the parameters before, around 0.
+    start : (15,) array, optional
+        Values of the parameters to start with.
     """
-    start = np.zeros(len(NAMES))
-    start[_ACCEL_GAIN] = guess_gain(accel)
-    prior = np.diag(PRIOR_SD**-2)
+    if start is None:
+        start = np.zeros(len(NAMES))
+        start[_ACCEL_GAIN] = guess_gain(accel)
+    prior = np.diag(prior_sd**-2)
 
     def try_values(values: FloatArray) -> _FitAt:
-        return _compare(stretches, integrate(stretches, t, gyro, accel, values), arm_b, values)
+        return _compare(stretches, integrate(stretches, t, gyro, accel, values), arm_b, prior_sd, values)
 
     best = here = try_values(start)
     factor = 1.0
     for k in range(iterations):
         weights = 1.0 / (np.square(here.rms) + MOTION_NOISE**2)
-        pull = np.einsum("w,wi->i", weights, here.scores) - here.values / PRIOR_SD**2
+        pull = np.einsum("w,wi->i", weights, here.scores) - here.values / prior_sd**2
         normal = prior + np.einsum("w,wij->ij", weights, here.normals)
-        step = np.clip(np.linalg.inv(normal) @ pull, -_LONGEST * PRIOR_SD, _LONGEST * PRIOR_SD)
+        step = np.clip(np.linalg.inv(normal) @ pull, -_LONGEST * prior_sd, _LONGEST * prior_sd)
         values = here.values + factor * step
         values[SHIFT] = np.clip(values[SHIFT], _HALF - _MARGIN, _MARGIN - _HALF)  # within the record
         trial = try_values(values)
@@ -307,6 +314,7 @@ def _compare(
     stretches: Stretches,
     motion: tuple[FloatArray, ...],
     arm_b: FloatArray,
+    prior_sd: FloatArray,
     values: FloatArray,
 ) -> _FitAt:
     """Return the residuals of all segments with the motion that `integrate` makes, and their derivatives."""
@@ -337,7 +345,7 @@ def _compare(
         )
     free = 3 * np.diff(stretches.begin) - 6
     cost = 0.5 * float(free @ np.log(np.square(rms) + MOTION_NOISE**2)) + 0.5 * float(
-        np.sum((values / PRIOR_SD) ** 2)
+        np.sum((values / prior_sd) ** 2)
     )
     return _FitAt(
         values,
