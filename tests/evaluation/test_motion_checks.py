@@ -87,6 +87,10 @@ def test_gravity_and_rates_at_rest_by_hand(axis, gain, tilt_deg):
     assert not validity.check_rates(replace(motion, most_rate=np.deg2rad(4001.0))).good
     (nothing,) = validity.check_rest(replace(motion, vel_n=vel_n - 3.0))
     assert "shows no standstill" in nothing.text
+    for heave, good in ((20.0, False), (21.2, True)):  # in 30 s it may change the force by 7 %
+        bobbing = vel_n + np.where(fix_t == 20.0, heave, 0.0)[:, None] * [0.0, 0.0, 1.0]
+        found = validity.check_rest(replace(motion, accel=accel * 0.9 / gain, vel_n=bobbing))[0]
+        assert found.good == good
     moved = lla + np.where(stands, 0.0, 1e-5 * np.arange(60.0))[:, None] * [1.0, 0.0, 0.0]
     ratio, *_ = validity.check_rest(replace(motion, lla=moved, vel_n=np.full((60, 3), np.nan)))
     assert ratio.value == pytest.approx(gain)

@@ -15,6 +15,7 @@ import numpy as np
 
 from bench.core.mathematics.arrays import BoolArray, FloatArray, find_later
 from bench.core.mathematics.earth import gravity_n
+from bench.core.mathematics.units import STANDARD_GRAVITY
 from bench.core.records.data import GnssFixes, ImuData
 from bench.core.records.instruments import INSTRUMENTS
 from bench.core.words.wording import format_number
@@ -134,7 +135,8 @@ def check_rest(motion: RecordedMotion) -> list[Check]:
     tilt = float(np.arccos(np.clip(-force[2] / size, -1.0, 1.0))) if size > 0 else np.nan
     seconds = sum(b - a for a, b in spans)
     text = f"imu: specific force at rest ({seconds:.0f} s) is {size:.4g} m/s^2, {ratio:.4f} of gravity"
-    bad = abs(ratio - 1.0) > GRAVITY_OFF
+    heaved = sum(_find_heave(motion, a, b) for a, b in spans) / (seconds * STANDARD_GRAVITY)
+    bad = abs(ratio - 1.0) > GRAVITY_OFF + heaved
     if bad:
         text += guess_force_unit(ratio)
     found = [Check("gravity_ratio", ratio, text, not bad, {"imu.accel_gain": ratio} if bad else {})]
@@ -145,6 +147,12 @@ def check_rest(motion: RecordedMotion) -> list[Check]:
     bias = np.rad2deg(motion.gyro[rows].mean(axis=0))
     text = f"imu: angular rate at rest {', '.join(f'{b:.3f}' for b in bias)} deg/s"
     return [*found, Check("rest_rate_deg_s", float(np.linalg.norm(bias)), text, True)]
+
+
+def _find_heave(motion: RecordedMotion, begin: float, end: float) -> float:
+    """Return the range of the vertical velocity in a standstill [m/s]: a boat at its mooring heaves."""
+    down = motion.vel_n[(motion.fix_t >= begin) & (motion.fix_t <= end), 2]
+    return float(np.ptp(down[np.isfinite(down)])) if np.isfinite(down).any() else 0.0
 
 
 def describe_accuracy(fixes: GnssFixes, reported: str) -> Check:
