@@ -7,6 +7,7 @@ recording as it is only if the likelihood of the whole recording rises by far.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,6 +16,7 @@ from bench.core.mathematics.arrays import FloatArray, IntArray
 from bench.core.mathematics.rotation import list_signed_axes
 from bench.evaluation.motion.clock_search import find_offsets
 from bench.evaluation.motion.motion_fit import (
+    GYRO_GAIN,
     MOTION_NOISE,
     PRIOR_SD,
     SHIFT,
@@ -35,7 +37,7 @@ _TURNS = (25.0, 0.5)  # rms rate in rms rates of the course beyond which the uni
 _RATES = (1.0, 0.01)  # the same for the rms rate itself [rad/s]
 _STEPS = (-0.6, -0.3, 0.3, 0.6)  # to either side of an offset: a gait fits near every step, too [s]
 _ROUNDS = 4  # from step to step
-_HELD = 1e-4  # sd of a turn between the triads that is held at 0 [rad]
+_HELD = 1e-4  # sd of a parameter that is held at 0, in its unit
 _DEGREE = np.pi / 180.0
 FIT_WELL = 0.1
 """No other axes are tried if no segment has a larger residual [m/s]."""
@@ -98,10 +100,12 @@ def explain(
     return Explained(one, stretches, fit)
 
 
-def explain_with_one_frame(motion: RecordedMotion, antenna_b: FloatArray, one: Explained) -> Explained:
-    """Return the fit under the same hypothesis with no turn between the triads."""
+def explain_held(
+    motion: RecordedMotion, antenna_b: FloatArray, one: Explained, held: Sequence[int]
+) -> Explained:
+    """Return the fit under the same hypothesis with some parameters, by number, held at 0."""
     prior_sd = PRIOR_SD.copy()
-    prior_sd[TURN] = _HELD
+    prior_sd[list(held)] = _HELD
     found = explain(motion, antenna_b, one.hypothesis, one.stretches, prior_sd=prior_sd)
     assert found is not None
     return found
@@ -110,13 +114,13 @@ def explain_with_one_frame(motion: RecordedMotion, antenna_b: FloatArray, one: E
 def explain_as_given(motion: RecordedMotion, antenna_b: FloatArray) -> Explained | None:
     """Return the better of two fits of a recording as it is; None without stretches.
 
-    Where little turns, the fit may end at a large turn between the triads that is not the best. So if it is
-    poor it starts once more, from that without a turn.
+    Where little turns, the fit may end at a turn between the triads and a gain of the gyros that are not the
+    best. So if it is poor it starts once more, from that without them.
     """
     free = explain(motion, antenna_b, AS_GIVEN)
     if free is None or free.fit.rms.max() < FIT_WELL:
         return free
-    start = explain_with_one_frame(motion, antenna_b, free).fit.values
+    start = explain_held(motion, antenna_b, free, [GYRO_GAIN, *TURN]).fit.values
     again = explain(motion, antenna_b, AS_GIVEN, free.stretches, start=start)
     assert again is not None
     return min(free, again, key=lambda one: one.cost)

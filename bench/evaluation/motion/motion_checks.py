@@ -22,13 +22,14 @@ from bench.evaluation.motion.axis_search import (
     Hypothesis,
     explain,
     explain_as_given,
-    explain_with_one_frame,
+    explain_held,
     search,
 )
 from bench.evaluation.motion.motion_fit import (
     LENGTH,
     MOTION_NOISE,
     NAMES,
+    TURN,
     MotionFit,
     Stretches,
     find_stretches,
@@ -133,7 +134,7 @@ def _name(motion: RecordedMotion, antenna_b: FloatArray, best: Explained) -> tup
 
 def _weigh_turn(motion: RecordedMotion, antenna_b: FloatArray, best: Explained) -> float:
     """Return by how much the logarithm of the likelihood rises with the turn between the triads."""
-    without = explain_with_one_frame(motion, antenna_b, best)
+    without = explain_held(motion, antenna_b, best, TURN)
     return float((without.cost - best.cost) * best.free.sum())
 
 

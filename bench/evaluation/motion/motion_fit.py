@@ -39,7 +39,7 @@ NAMES = (
 PRIOR_SD = np.array([0.1] * 3 + [1.0] + [1.0] * 3 + [1.0] + [1.0] * 3 + [1.0] + [0.5] * 3)
 _LONGEST = 2.0  # step of an iteration, in these standard deviations: a wrong unit is far from linear
 _KERNEL = 11  # parameters whose derivatives are integrated
-_GYRO_GAIN, _ACCEL_GAIN, TURN, SHIFT, _ARM = 3, 7, slice(8, 11), 11, slice(12, 15)
+GYRO_GAIN, _ACCEL_GAIN, TURN, SHIFT, _ARM = 3, 7, (8, 9, 10), 11, slice(12, 15)
 LENGTH = 20.0  # of a segment [s]
 _FEWEST = 8  # fixes in a segment
 MOST_SEGMENTS = 150  # segments; those in which the velocity changes most are used
@@ -376,7 +376,7 @@ def integrate(
     stretches: Stretches, t: FloatArray, gyro: FloatArray, accel: FloatArray, values: FloatArray
 ) -> tuple[FloatArray, ...]:
     """Return u, U, C_sb, the rate at the fixes and the derivative of u by time, for some parameters."""
-    w = gyro * np.exp(-values[_GYRO_GAIN]) - values[:3]
+    w = gyro * np.exp(-values[GYRO_GAIN]) - values[:3]
     f = (accel * np.exp(-values[_ACCEL_GAIN]) - values[4:7]) @ matrix(from_rotvec(values[8:11])).T
     at = stretches.fix_t - values[SHIFT]
     half = min(_HALF, 0.5 * float(np.diff(at).min(initial=np.inf)))
