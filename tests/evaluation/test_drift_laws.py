@@ -194,10 +194,13 @@ def test_a_row_of_drifts_has_the_quantiles_of_a_vector_of_two_axes():
 
 def test_the_drift_by_a_fix_has_the_accuracy_of_the_fix():
     """Filter 3 m and fix 4 m by axis: 5 m reported; 8 m of error are mostly the fix."""
-    both, fix = (np.diag([sd**2, sd**2, 1.0]) for sd in (5.0, 4.0))
+    both, fix = np.diag([41.0, 9.0, 1.0]), np.diag([28.0, 4.0, 1.0])
     one = OutageDrift.measure(10.0, 11.0, np.array([8.0, 0.0, -2.0]), both, fix)
     assert (one.duration, one.drift, one.drift_v, one.claimed, one.fix_sd) == (1.0, 8.0, 2.0, 5.0, 4.0)
     row = make_drift_row("x", 1.0, [one], IMU)
     assert row["reported_median_h_m"] == pytest.approx(5.0 * RAYLEIGH_MEDIAN)
     assert row["predicted_median_h_m"] == pytest.approx(RAYLEIGH_MEDIAN * np.hypot(drift_sd(1.0, IMU), 4.0))
     assert describe_drift(row).endswith("; noise of the fixes alone: 4.71 m")
+    for drift, said in ((9.3, True), (9.5, False)):  # 4.71 m are half of 9.42 m
+        far = replace(one, drift=drift)
+        assert ("fixes alone" in describe_drift(make_drift_row("x", 1.0, [far], IMU))) == said

@@ -132,8 +132,17 @@ def test_velocities_with_more_noise_than_assumed_have_it_named(sound):
     assert "velocity_sd_mps" not in found
 
 
+def test_a_vertical_velocity_that_is_always_0_is_no_measurement(sound):
+    """The flight climbs: as measured, the zeros make the forces wrong and the antenna, too."""
+    flat = replace(sound, fixes=replace(sound.fixes, vel_n=sound.fixes.vel_n * [1.0, 1.0, 0.0]))
+    found = flat.check()
+    assert wrong(found) == []
+    assert "no velocity" in found["velocity_shift_s"].text
+
+
 @pytest.mark.parametrize(
-    ("rms", "assumed", "named"), [(0.21, 0.1, True), (0.19, 0.1, False), (0.09, 0.01, False)]
+    ("rms", "assumed", "named"),
+    [(0.21, 0.1, True), (0.19, 0.1, False), (0.09, 0.01, False), (0.99, 0.1, True), (1.01, 0.1, False)],
 )
 def test_the_noise_of_velocities_counts_from_twice_the_assumed_on(rms, assumed, named):
     fit, t = SimpleNamespace(rms=np.array([0.0, rms, 9.0])), 0.02 * np.arange(5000)
@@ -409,9 +418,14 @@ def test_a_shift_of_the_clocks_counts_beyond_20_ms_and_five_deviations(shift, sd
             "more likely only the receiver's velocity is late: add -0.200 to [gnss]",
         ),
         (-0.15, 0.005, "imu.time_offset_s", "add +0.200 to [imu] time_offset_s"),
-        (-0.105, 0.05, "imu.time_offset_s", ", or its velocity alone is late: -0.200 to [gnss]"),
-        (-0.13, 0.06, "imu.time_offset_s", ", or its velocity alone is late: -0.200 to [gnss]"),
-        (-0.14, 0.06, "gnss.velocity_offset_s", "or rather its velocity alone is late: add -0.200 to [gnss]"),
+        (-0.105, 0.05, "imu.time_offset_s", ", or if only the receiver's velocity is late: -0.200 to [gnss]"),
+        (-0.13, 0.06, "imu.time_offset_s", ", or if only the receiver's velocity is late: -0.200 to [gnss]"),
+        (
+            -0.14,
+            0.06,
+            "gnss.velocity_offset_s",
+            "more likely only the receiver's velocity is late: add -0.200 to [gnss]",
+        ),
     ],
 )
 def test_a_clock_is_told_from_a_late_velocity_by_the_positions(late, late_sd, key, told):

@@ -35,6 +35,8 @@ def find_reachable(imu: ImuData, fixes: GnssFixes) -> BoolArray:
     """
     motion = RecordedMotion.from_records(imu, fixes)
     sound = np.ones(len(fixes), np.bool_)
+    if not np.isfinite(motion.vel_n).all(axis=1).any():
+        return sound
     rows = find_ordered(fixes.t, fixes.valid & np.isfinite(fixes.vel_n).all(axis=1))
     every = find_stretches(
         motion.t, fixes.t[rows], fixes.lla[rows], fixes.vel_n[rows], most=max(len(rows), 1)

@@ -62,6 +62,7 @@ _FORWARD = 0.8  # length of the mean direction of the motion in the vehicle if i
 _SIDEWAYS = 0.35  # rms of the sine of the angle from the forward axis to the motion, if it does [1]
 _WIND_SD, _WIND_SHARE = 15.0, 0.3  # what the wind may be [m/s], and of the speed over ground [1]
 _LIKELIER = 2.0  # logarithm of the likelihood by which rather a velocity is late than a clock wrong
+_WORST_RECEIVER = 1.0  # noise of a velocity by Doppler [m/s]: tenths in a city
 _LEAP, _LEAP_OFF = (13, 18), 0.3  # seconds between UTC and GPS time since 1999, and how near a shift must be
 
 
@@ -212,13 +213,15 @@ def check_velocity_noise(fit: MotionFit, motion: RecordedMotion) -> list[Check]:
     """Check for velocities that scatter more, within a segment of some seconds, than filters assume.
 
     Scatter that the noise of the accelerometers explains does not count: if the noise is white, its
-    integral is a random walk, whose variance around a fitted line is its variance at the end by 15.
+    integral is a random walk, whose variance around a fitted line is its variance at the end by 15. Beyond
+    `_WORST_RECEIVER` it is the IMU, saturated or silent in the maneuvers, that does not follow.
     """
     sd = float(np.median(fit.rms))
     white = float(np.std(np.diff(motion.accel, 2, axis=0))) / np.sqrt(6.0)
     walk = white * np.sqrt(float(np.median(np.diff(motion.t))) * LENGTH / 15.0)
     assumed = motion.assumed_sd
-    if not sd > NOISE_OFF * max(np.hypot(assumed, walk), MOTION_NOISE) or len(fit.rms) < 2:
+    least = NOISE_OFF * max(np.hypot(assumed, walk), MOTION_NOISE)
+    if not least < sd < _WORST_RECEIVER or len(fit.rms) < 2:
         return []
     text = (
         f"gnss: its velocities scatter by {sd:.2g} m/s around the motion of the IMU, filters assume "

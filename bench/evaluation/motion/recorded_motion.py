@@ -18,6 +18,7 @@ STILL = 0.2
 """Ground speed below which a vehicle counts as standing still [m/s]."""
 STILL_AT_LEAST = 2.0
 """Shortest standstill that is used [s]."""
+_LEVEL = 1.0  # range of heights within which nothing moves up or down [m]
 _WILD = 1e5  # a number beyond it in SI is damage, not motion in another unit
 _MOVES = 0.4  # ground speed that a vehicle reaches at least once if it moves at all [m/s]
 _NEAR = 5  # fixes whose median velocity counts, so that the noise of single ones is no motion
@@ -55,7 +56,10 @@ class RecordedMotion:
 
     @classmethod
     def from_records(cls, imu: ImuData, fixes: GnssFixes) -> RecordedMotion:
-        """Make the motion from valid rows with plausible rates and increasing times."""
+        """Make the motion from valid rows with plausible rates and increasing times.
+
+        A vertical velocity that is 0 in all fixes is unknown where their heights change.
+        """
 
         def measure(increments: FloatArray, rows: slice | IntArray) -> FloatArray:
             return np.asarray(increments[rows] / imu.dt[rows, None])
@@ -87,7 +91,9 @@ class RecordedMotion:
         moving = good[np.isfinite(fixes.vel_n[good]).all(axis=1)]
         variance = np.einsum("mii->m", fixes.cov_vel_n[moving]) / 3.0
         assumed = float(np.sqrt(np.median(variance))) if len(moving) else np.nan
-        fix_t, lla, vel_n = fixes.t[good], fixes.lla[good], fixes.vel_n[good]
+        fix_t, lla, vel_n = fixes.t[good], fixes.lla[good], fixes.vel_n[good].copy()
+        if len(good) and not vel_n[:, 2].any() and np.ptp(lla[:, 2]) > _LEVEL:
+            vel_n[:, 2] = np.nan
         return cls(t, gyro, accel, fix_t, lla, vel_n, most, assumed_sd=assumed)
 
     @property
