@@ -17,6 +17,7 @@ from tests.exchange import drives
 from tests.exchange.test_reference import REFERENCE, motion
 
 ORIGIN = (46.999, 10.998, 550.0)  # [deg, deg, m]
+ORIGIN_KEY = "origin = [47, 11, 0, 0]\n"
 HEADING = 30.0  # of the north axis of a turned frame [deg]
 NAMES = {
     "x_m, y_m, z_m": "enu",
@@ -75,14 +76,17 @@ def test_without_an_origin_the_place_is_assumed_and_that_is_said(tmp_path):
     name = text[0].split(",").index("x_m")
     row = text[8].split(",")
     text[8] = ",".join([*row[:name], "nan", *row[name + 1 :]])
+    for k, far in ((9, "2e7"), (10, "-5e4")):  # no place on the Earth, and one that may be
+        row = text[k].split(",")
+        text[k] = ",".join([*row[:name], far, *row[name + 1 :]])
     (tmp_path / "gnss.csv").write_text("\n".join(text))
     found = read_records(load_log(str(path)))
     assert "taken as enu at an assumed origin, 45, 0 deg, 0 m: set origin" in found.assumed
-    assert np.flatnonzero(~found.fixes.valid).tolist() == [7]
+    assert np.flatnonzero(~found.fixes.valid).tolist() == [7, 8]
     own = np.stack(pymap3d.geodetic2enu(*drive_place(), *ORIGIN), axis=-1)
     lat, lon, alt = found.fixes.lla.T
     placed = np.stack(pymap3d.geodetic2enu(np.rad2deg(lat), np.rad2deg(lon), alt, 45.0, 0.0, 0.0), axis=-1)
-    assert_allclose(placed[8:], own[8:], atol=2e-4)
+    assert_allclose(placed[10:], own[10:], atol=2e-4)
     result = bench.navigate(path)
     (check,) = [one for one in bench.read_log(path).checks if one.name == "gnss_origin"]
     assert (check.text, check.good) == (found.assumed, False)
@@ -145,10 +149,21 @@ def test_x_y_z_without_a_unit_are_no_positions(tmp_path, capsys):
 
 
 def test_keys_of_a_local_frame_without_local_positions_are_rejected(tmp_path):
-    path = drives.write_log(tmp_path, drives.LOG.replace("[sensors", "origin = [47, 11, 0, 0]\n[sensors", 1))
+    path = drives.write_log(tmp_path, drives.LOG.replace("[sensors", f"{ORIGIN_KEY}[sensors", 1))
     with pytest.raises(
         ConfigError, match=r"gnss\.csv: origin is only for positions in a local frame, not for lat_deg: leave"
     ):
+        read_records(load_log(str(path)))
+    path = write_log(tmp_path, "pn_m, pe_m, pd_m", 'frame = "enu-flu"')
+    with pytest.raises(
+        ConfigError, match=r"gnss\.csv: frame 'enu-flu' contradicts the columns pn_m, pe_m, pd_m"
+    ):
+        read_records(load_log(str(path)))
+    drives.write_log(
+        tmp_path, drives.LOG.replace("gnss.csv", "a.nmea").replace("[sensors", f"{ORIGIN_KEY}[sensors", 1)
+    )
+    (tmp_path / "a.nmea").write_text("")
+    with pytest.raises(ConfigError, match=r"a\.nmea: origin: only for positions in a local frame"):
         read_records(load_log(str(path)))
     path = write_log(tmp_path, "x_m, y_m, z_m", 'frame = "abc-flu"')
     with pytest.raises(ConfigError, match="frame 'abc-flu': expected the axes x, y, z"):

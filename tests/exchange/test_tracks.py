@@ -387,7 +387,7 @@ def test_a_table_with_an_attitude_wants_no_track(tmp_path):
     (tmp_path / "t.csv").write_text(
         text + "\n".join(",".join(f"{v:.9f}" for v in (*row, 0, 0, 0)) for row in rows)
     )
-    with pytest.raises(ConfigError, match="the table has an attitude"):
+    with pytest.raises(ConfigError, match="because the table contains an attitude"):
         list(read_trajectory(TableSpec("t", tmp_path / "t.csv", 100.0, None, track=TrackSpec())))
 
 

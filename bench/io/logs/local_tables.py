@@ -30,7 +30,7 @@ def place_rows(
     Raises
     ------
     ConfigError
-        If a frame is named for positions that are not local, or its name is unknown.
+        If a frame is named for positions that are not local, is unknown, or contradicts their names.
     """
     named = LOCAL_AXES.get(table.stems["position"])
     if named is None:
@@ -43,6 +43,9 @@ def place_rows(
         return rows, None
     axes = f"{named}-frd" if named else placing.frame or _FRAME
     frame, known = placing.find_frame(axes, (), shown)
+    if named and placing.frame is not None and not placing.frame.lower().startswith(named):
+        columns = f"the columns {', '.join(table.names['position'])}, which are {named}"
+        raise ConfigError(f"{shown}: frame {placing.frame!r} contradicts {columns}; leave it out")
     world = read_frame(axes)[0]
     values, pos = dict(rows.values), rows.values["pos_l"]
     good = np.asarray((np.abs(pos) < _FAR).all(axis=1))

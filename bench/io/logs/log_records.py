@@ -24,7 +24,7 @@ from bench.core.records.instruments import INSTRUMENTS
 from bench.core.records.run_records import SkyView
 from bench.core.words.exceptions import ConfigError
 from bench.io.config.log import RANGES, LogSpec, SourceSpec
-from bench.io.foreign.solution_rows import Placing
+from bench.io.foreign.solution_rows import Placing, reject_placing
 from bench.io.log_formats import find_format
 from bench.io.logs import formats
 from bench.io.logs.formats.navego_structures import list_sensors
@@ -154,6 +154,7 @@ def _read_rows(source: SourceSpec, kind: str) -> LogRows:
         if kind == "gnss":
             rows = place_rows(rows, table, Placing(source.frame, source.origin, ASSUMED), shown)[0]
     else:
+        reject_placing(shown, frame=source.frame, origin=source.origin)
         rows = formats.read(form, source.path, kind, topic)
     rows = drop_timeless(rows, kind, shown)
     bad = ~np.isfinite(rows.t)
