@@ -41,11 +41,11 @@ def test_a_binary_log_is_read_as_the_ascii_log_it_was_made_of(name, kind, topic)
         assert_allclose(binary.values[column], values, atol=2e-6 if column == "lla" else 1e-7, rtol=0)
 
 
-def frame(number, body, week=2209, milliseconds=400_000_000, short=False):
+def frame(number, body, week=2209, milliseconds=400_000_000, short=False, kind=0):
     if short:
         head = struct.pack("<3sBHHi", b"\xaa\x44\x13", len(body), number, week, milliseconds)
     else:
-        more = (b"\xaa\x44\x12", 28, number, 0, 32, len(body), 0, 0, 180, week, milliseconds, 0, 0, 0)
+        more = (b"\xaa\x44\x12", 28, number, kind, 32, len(body), 0, 0, 180, week, milliseconds, 0, 0, 0)
         head = struct.pack("<3sBHBBHHBBHiIHH", *more)
     return head + body + struct.pack("<I", zlib.crc32(head + body, 0xFFFFFFFF) ^ 0xFFFFFFFF)
 
@@ -66,6 +66,57 @@ def test_a_position_without_a_solution_is_no_fix_and_one_without_a_week_is_left_
     assert_allclose(found.values["sd_pos"][0], [1.0, 2.0, 3.0])
     assert found.values["satellites"][0] == 12
     assert np.isnan(found.values["lla"][1]).all()
+
+
+def test_fixes_of_the_second_antenna_are_passed_over(tmp_path):
+    path = tmp_path / "a.gps"
+    path.write_bytes(frame(42, position(0, 1000.0)) + frame(42, position(0, 900.0), kind=1))
+    found = read(path, "gnss", None)
+    assert_allclose(found.values["lla"][:, 2], [983.0])
+    assert not found.notes
+
+
+@pytest.mark.parametrize(("number", "topic"), [(507, "INSPVA"), (508, "INSPVAS"), (1465, "INSPVAX")])
+def test_a_solution_counts_if_its_status_is_good_free_or_aligned(tmp_path, number, topic):
+    """Of the states 0 inactive to 7 alignment complete; velocities along north, east, up."""
+    path, frames = tmp_path / "a.gps", b""
+    for status in range(8):
+        motion = (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
+        if number == 1465:
+            body = struct.pack(
+                "<2I3df6d9fIH", status, 56, 51.0, -114.0, 1000.0, -17.0, *motion, *[1.0] * 9, 0, 0
+            )
+        else:
+            body = struct.pack("<I10dI", 2209, 4e5 + status, 51.0, -114.0, 983.0, *motion, status)
+        frames += frame(number, body, milliseconds=400_000_000 + 1000 * status, short=number == 508)
+    path.write_bytes(frames)
+    found = read(path, "gnss", topic)
+    assert np.flatnonzero(np.isfinite(found.values["lla"][:, 0])).tolist() == [3, 6, 7]
+    assert_allclose(found.values["lla"][3, 2], 983.0)
+    assert_allclose(found.values["vel_n"][3], [1.0, 2.0, -3.0])
+
+
+@pytest.mark.parametrize("numbers", [(42, 99), (1429, 1430)])
+def test_velocities_are_those_of_the_log_beside_the_positions(tmp_path, numbers):
+    path = tmp_path / "a.gps"
+    speed = struct.pack("<2I2f3df", 0, 8, 0.0, 0.0, 2.0, 90.0, 0.5, 0.0)
+    path.write_bytes(frame(numbers[0], position(0, 1000.0)) + frame(numbers[1], speed))
+    found = read(path, "gnss", None)
+    assert_allclose(found.values["vel_n"], [[0.0, 2.0, -0.5]], atol=1e-12)
+
+
+@pytest.mark.parametrize("number", [268, 325, 1461, 1462])
+def test_counts_of_an_imu_are_along_z_minus_y_x(tmp_path, number):
+    path, frames = tmp_path / "a.gps", b""
+    for k in range(3):
+        head = (2209, 4e5 + 0.01 * k, 0) if number < 1000 else (0, 58, 2209, 4e5 + 0.01 * k, 0)
+        body = struct.pack("<IdI6i" if number < 1000 else "<2BHdI6i", *head, 30, -20, 10, 6, -5, 4)
+        frames += frame(number, body, short=number in (325, 1462))
+    path.write_bytes(frames)
+    found = read(path, "imu", "HG4930")
+    assert_allclose(found.t, 2209 * 604_800.0 + 4e5 + 0.01 * np.arange(3))
+    assert_allclose(found.values["dvel"][0] * 2.0**29, [20.0, 10.0, -30.0])
+    assert_allclose(found.values["dtheta"][0] * 2.0**33, [5.0, 4.0, -6.0])
 
 
 def test_damaged_and_short_frames_are_counted(tmp_path):

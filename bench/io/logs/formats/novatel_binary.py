@@ -21,6 +21,7 @@ from bench.simulation.signals.orbits import WEEK
 _MARK = re.compile(rb"(?s)\xaa\x44(?:\x12\x1c|\x13)")
 _LONGEST = 1 << 16  # of a frame [byte]
 _LONG, _SHORT, _SHORT_MARK = 28, 12, 0x13  # headers [byte], and third byte of the short one
+_NOT_OWN = 0x9F  # bits of the type of a message: of the second antenna, or a response
 _POS, _VEL, _INS = "<2I3dfI3f4s2f8B", "<2I2f3df", "<I10dI"
 _RAW, _RAW_X = "<IdI6i", "<2BHdI6i"
 _LAYOUTS = {
@@ -47,7 +48,7 @@ def read_binary_logs(path: Path) -> Iterator[Log | None]:
             name, layout = _LAYOUTS.get(int.from_bytes(frame[4:6], "little"), ("", ""))
             body = frame[_SHORT if short else _LONG : -4]
             week, milliseconds = struct.unpack_from("<Hi", frame, 6 if short else 14)
-            if not name or not week:
+            if not name or not week or not (short or not frame[6] & _NOT_OWN):
                 continue
             if len(body) < struct.calcsize(layout):
                 yield None
