@@ -376,7 +376,7 @@ class Session:
 
         At ``most``, and no more than have room beside each other: cuts that overlap tell the same twice.
         """
-        if self.reference is not None:
+        if self.reference is not None or len(self.fixes) < 2:
             return {}
         room = float(self.fixes.t[-1]) - self.first
         least = float(np.median(np.diff(self.fixes.t))) / (1.0 - _WHOLE)  # so that a fix is near its end
