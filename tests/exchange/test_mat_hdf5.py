@@ -126,6 +126,9 @@ def test_what_is_too_large_or_of_another_program_is_one_line(tmp_path, monkeypat
     monkeypatch.setattr(mat_file, "MOST_BYTES", 10_000_000)
     with pytest.raises(ConfigError, match=r"a\.mat: (cannot be read|larger than)"):
         read_mat(path)
+    write_hdf5(path, {"x": np.zeros(1_300_000, np.uint8)})  # they become doubles
+    with pytest.raises(ConfigError, match=r"a\.mat: larger than 10 MB when unpacked"):
+        read_mat(path)
     monkeypatch.setitem(__import__("sys").modules, "h5py", None)
     with pytest.raises(ConfigError, match="needs the package h5py: pip install h5py, or save it with -v7"):
         read_mat(path)

@@ -229,6 +229,59 @@ def test_signals_have_their_carrier_and_cycles_counted_anew_are_told(tmp_path):
     assert (raw.origin + raw.t).tolist() == [WEEK * 604_800 + 1.0, WEEK * 604_800 + 2.0]
 
 
+def test_identifiers_times_of_lock_and_flags_at_their_limits(tmp_path):
+    """R25 is 63, as 62 is a slot unknown; a second signal has at most 254 s; bit 6 is no scrambling."""
+    master = signal(kind=3, lock=300)
+    raw = read_written(
+        tmp_path / "a.sbf",
+        epoch(master, signal(63, 8), flags=0x40),
+        epoch(signal(more=(next_signal(3, lock=254),)), tow=2000),
+        block(4027, bytes(4)),
+    )
+    assert raw.sat.tolist() == [5, 25, 5]
+    assert raw.slipped[:, 1].tolist() == [False, False, False]
+    assert raw.lost == 1
+
+
+def patch(name, number, changes):
+    """Blocks of a file with values of a layout at places of their bodies, and their CRC made anew."""
+    out = []
+    for one, body in read_blocks(gnss_file(name), ""):
+        if one == number:
+            changed = bytearray(body)
+            for at, layout, value in changes:
+                struct.pack_into(layout, changed, at, value)
+            out.append(block(one, bytes(changed)))
+    return b"".join(out)
+
+
+@pytest.mark.parametrize(
+    ("number", "at", "layout", "value", "healthy"),
+    [
+        *((4004, 77, "B", bits, bits < 4) for bits in (0, 3, 4)),  # B_n: the first of three bits counts
+        *(
+            (4002, 122, "<H", bits, bits not in (0b0011, 0b0101, 0b1001))
+            for bits in (0, 1, 3, 5, 9, 14, 0xF00)
+        ),
+    ],
+)
+def test_health_is_that_of_the_message(tmp_path, number, at, layout, value, healthy):
+    """Of Galileo's E1: a bit that it is known, that of the data, and two of the signal."""
+    path = tmp_path / "a.sbf"
+    path.write_bytes(patch(OPEC, number, [(at, layout, value)]))
+    nav = read_sbf_navigation(path)
+    one = nav.glonass if number == 4004 else nav.galileo[0]
+    assert len(one) > 4
+    assert (one.healthy == healthy).all()
+
+
+def test_an_ephemeris_with_an_impossible_value_is_left_out(tmp_path):
+    path = tmp_path / "a.sbf"
+    path.write_bytes(patch(OPEC, 4004, [(8, "<d", 1e20)]) + patch(OPEC, 4002, [(8, "<d", np.nan)]))
+    with pytest.raises(ConfigError, match=r"a\.sbf: has no ephemeris"):
+        read_sbf_navigation(path)
+
+
 def test_values_that_stand_for_none(tmp_path):
     nothing = next_signal(phase=-128 << 16, rate=-16 << 16, cn0=255, lock=255)
     none = signal(6, rate=-(2**31), phase=-128 << 16, cn0=255, lock=65535, more=(next_signal(rate=5),))
@@ -267,8 +320,10 @@ def test_a_receiver_that_stores_other_ranges_is_told_apart(tmp_path, capsys):
     assert "a.sbf: has no ranges (SBF MeasEpoch) in it; sbf2rin of Septentrio" in capsys.readouterr().err
 
 
-def fix(tow=1000, mode=4, error=0, lla=(0.8, 0.2, 500.0), vel=(1.0, 2.0, 3.0), tail=b"", week=WEEK):
-    body = struct.pack("<IHBB3df3ffdf3B", tow, week, mode, error, *lla, 48.0, *vel, 0.0, 0.0, 0.0, 0, 0, 12)
+def fix(tow=1000, mode=4, error=0, lla=(0.8, 0.2, 500.0), vel=(1.0, 2.0, 3.0), tail=b"", week=WEEK, count=12):
+    body = struct.pack(
+        "<IHBB3df3ffdf3B", tow, week, mode, error, *lla, 48.0, *vel, 0.0, 0.0, 0.0, 0, 0, count
+    )
     return block(4007, body + tail, revision=2 if tail else 0)
 
 
@@ -299,6 +354,10 @@ def test_fixes_have_classes_of_rtklib_and_those_that_are_none_are_not_used(tmp_p
     assert np.isnan(values["sd_pos"][-1]).all()
     assert_allclose(values["sd_vel"][:2], [[np.nan] * 3, [1.0, 2.0, np.nan]])
     assert (values["satellites"] == 12.0).all()
+    assert_allclose(
+        read_fixes(tmp_path / "gnss.sbf", fix(count=254), fix(tow=2000, count=255)).values["satellites"],
+        [254.0, np.nan],
+    )
     assert "1 fixes before the receiver set its clock" in found.notes[0]
 
 
