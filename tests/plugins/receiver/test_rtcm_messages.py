@@ -129,9 +129,7 @@ def test_epochs_are_by_their_times_and_one_before_others_is_left_out(tmp_path):
     )
     assert_allclose(raw.t, [0.0, 0.2, 0.4, 0.6], atol=1e-6)
     assert raw.sat.tolist() == [3, 3, 4, 3, 3]
-    assert [text.partition(": ")[2] for text in raw.reasons] == [
-        "1 messages of another time than those around them"
-    ]
+    assert [text.partition(": ")[2] for text in raw.reasons] == ["1 messages out of order in time"]
 
 
 def cell(code=0, phase=0, lock=9, half=0, cn0=700, rate=0):
