@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from bench.core.mathematics import rotation
-from bench.core.mathematics.earth import EARTH_RATE, gravity_n
-from bench.core.records.data import AirData, Trajectory, no_controls, no_events
-from bench.navigation import mechanization
+from bench.core.records.data import Trajectory
+from tests.motions.truths import make_truth
 
 DEG = np.pi / 180
-START = np.array([47 * DEG, 11 * DEG, 800.0])
 HEADING = 0.6
 SPEED, GATHERING = 7.0, 6.0
 """Of the flight [m/s]; it is reached after so many seconds."""
@@ -38,15 +35,5 @@ def hovering(
     along = np.cos(course) * acc_n[:, 0] + np.sin(course) * acc_n[:, 1]
     across = -np.sin(course) * acc_n[:, 0] + np.cos(course) * acc_n[:, 1]
     tilts = (jitter_deg > 0.0) * np.array([across, -along]) / 9.81  # rotors push along the axis alone
-    q_nb = rotation.from_euler(shaken[0] + tilts[0], shaken[1] + tilts[1], course + shaken[2])
-    w_ie = EARTH_RATE * np.array([np.cos(START[0]), 0.0, -np.sin(START[0])])
-    step = rotation.to_rotvec(rotation.multiply(rotation.conjugate(q_nb[:-1]), q_nb[1:]))
-    dtheta = step + rotation.rotate(rotation.conjugate(q_nb[:-1]), w_ie) / rate
-    f_n = np.diff(vel_n, axis=0) + (np.cross(2 * w_ie, vel_n[1:]) - gravity_n(START[0], START[2])) / rate
-    back = rotation.conjugate(rotation.multiply(q_nb[:-1], rotation.from_rotvec(0.5 * step)))
-    dvel = rotation.rotate(back, f_n)
-    nav = mechanization.propagate(START, np.zeros(3), q_nb[0], np.full(n, 1.0 / rate), dtheta, dvel)
-    two, none = np.array([0.0, duration]), np.zeros(2)
-    air = AirData(two, none + 9.2e4, none + 283.0, none, none, none, none, np.zeros((2, 3)), none)
-    columns = (nav[:, :3], nav[:, 3:6], rotation.continuous(nav[:, 6:]))
-    return Trajectory(t, *columns, dtheta, dvel, air, no_controls(), no_events())
+    euler = np.column_stack([shaken[0] + tilts[0], shaken[1] + tilts[1], course + shaken[2]])
+    return make_truth(vel_n, euler, rate)

@@ -6,7 +6,8 @@ by `bench.evaluation.ensembles.ensemble_consistency`. Run as a program it prints
 
     python -m tests.navigation.honesty --profiles survey,static --units adis16475,bmi088 --runs 150 --twin
 
-With ``-o`` it also keeps the rows, and ``--table`` prints the tables of the guide from them.
+With ``-o`` it also keeps the rows, and ``--table`` prints the tables of the guide from them. With
+``--motions 100`` it runs so many random motions of each kind (`tests.motions.trials`).
 """
 
 from __future__ import annotations
@@ -41,6 +42,7 @@ from bench.evaluation.ensembles import ensemble_consistency
 from bench.evaluation.errors.error_series import check_convergence, error_series
 from bench.navigation import built_in, estimator
 from tests.measured import SHOWN, stamp, write_measured
+from tests.motions import trials
 
 FOLDER = Path(bench.__file__).parent
 RECOVERY = 60.0  # after a fault, in which no consistency is asked for [s]
@@ -340,6 +342,8 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=SEED)
     parser.add_argument("--hz", type=float, default=20.0, help="of the covariance; 0: at every sample")
     parser.add_argument("--twin", action="store_true")
+    parser.add_argument("--motions", type=int, metavar="N", help="random motions of each kind, no profiles")
+    parser.add_argument("--kinds", default="", help="of motions; all by default")
     parser.add_argument("-o", "--out", type=Path, help="rows as JSON, one a line")
     parser.add_argument(
         "--table", type=Path, metavar="OUT", help="print rows that were kept, and measure nothing"
@@ -353,6 +357,13 @@ def main() -> None:
             return
         key = "unit" if len({row["profile"] for row in rows}) == 1 else "profile"
         print("\n".join([*write_table(rows, key), write_measured(row["measured"] for row in rows)]))
+        return
+    if given.motions:
+        kinds = given.kinds.split(",") if given.kinds else tuple(trials.KINDS)
+        found = list(trials.run_trials(given.motions, given.seed, given.estimators.split(","), kinds))
+        if given.out:
+            trials.save(found, given.out)
+        print("\n".join(trials.summarize(found)))
         return
     units = list_names("catalog/imu") if given.units == "all" else given.units.split(",")
     rows = measure(
