@@ -1,6 +1,6 @@
 """Motions of what flies with wings, of aircraft on the ground and of a boat: random parameters.
 
-The ranges are those of such vehicles in handbooks of pilots and makers, or assumed where a motion says so.
+The ranges are assumed: what such vehicles usually do, and somewhat more; each motion names its own.
 Wings fly coordinated: the force across the path is lift, so a turn banks by atan(V * rate / g), and the angle
 of attack is that of the lift at this speed. Gusts push the vehicle without turning it, and a jitter of the
 attitude of 0.2 to 2 deg comes on top. The wind comes from anywhere; on the ground it is calm.
@@ -81,7 +81,7 @@ def hand_launch(r: np.random.Generator) -> Motion:
 def catapult(r: np.random.Generator) -> Motion:
     """Rest on a rail, level or up by 5 to 15 deg, for 15 to 40 s, leave it at 20 to 35 m/s with 3 to 8 g.
 
-    These are figures of catapults of bungees and of compressed air for 3 to 25 kg. Then climb and turn.
+    Bungees and compressed air give about that (assumed). Then climb and turn.
     """
     rest, left = r.uniform(15.0, 40.0), r.uniform(20.0, 35.0)
     push = r.uniform(max(0.3, 4.0 * left / (24.0 * G)), min(1.0, 4.0 * left / (9.0 * G)))
@@ -203,7 +203,8 @@ def reversal(r: np.random.Generator) -> Motion:
     cruise, start, soft = draw_log(r, 15.0, 250.0), draw_course(r), r.uniform(2.0, 6.0)
     bank = np.arctan(max(np.tan(np.deg2rad(draw_log(r, 15.0, 60.0))), np.pi * cruise / (G * 120.0)))
     turn_s = np.pi * cruise / (G * np.tan(bank))
-    marks, now = [], r.uniform(22.0, 60.0)
+    marks: list[tuple[float, float]] = []
+    now = r.uniform(22.0, 60.0)
     for _ in range(int(r.integers(1, 4))):
         if not marks or now + turn_s + 20.0 < 235.0:
             marks.append((now, r.choice([-1.0, 1.0])))

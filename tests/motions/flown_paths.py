@@ -16,7 +16,7 @@ SLOWEST = 6.0
 def point(course: FloatArray, climb: FloatArray) -> FloatArray:
     """Return unit vectors (N, 3) of a course and an angle of climb [rad]."""
     flat = np.cos(climb)
-    return np.column_stack([flat * np.cos(course), flat * np.sin(course), -np.sin(climb)])
+    return np.asarray(np.column_stack([flat * np.cos(course), flat * np.sin(course), -np.sin(climb)]))
 
 
 def draw_course(r: np.random.Generator) -> float:
@@ -32,7 +32,7 @@ def draw_wind(r: np.random.Generator, low: float, high: float) -> tuple[FloatArr
 
 def gusts(r: np.random.Generator, t: FloatArray, sd: float) -> FloatArray:
     """Return what gusts add to a velocity (N, 3) [m/s]."""
-    return sd * np.column_stack([share * waves(r, t, 20.0, 3.5, 5) for share in (1.0, 1.0, 0.6)])
+    return np.asarray(sd * np.column_stack([share * waves(r, t, 20.0, 3.5, 5) for share in (1.0, 1.0, 0.6)]))
 
 
 def stroke(t: FloatArray, begin: float, seconds: float) -> FloatArray:
@@ -41,7 +41,7 @@ def stroke(t: FloatArray, begin: float, seconds: float) -> FloatArray:
     fine = np.linspace(0.0, seconds, 400)
     push = after(fine, 0.0, end) * (1.0 - after(fine, seconds - end, end))
     total = np.cumsum(push) - push[0]
-    return np.interp(t - begin, fine, total / total[-1])
+    return np.asarray(np.interp(t - begin, fine, total / total[-1]))
 
 
 def box(t: FloatArray, begin: float, end: float) -> FloatArray:
@@ -232,15 +232,16 @@ def draw_queue(r: np.random.Generator, rest: float) -> tuple[list[tuple[float, f
     """
     count = int(r.integers(3, 9))
     stops = np.array([draw_log(r, 5.0, 40.0) for _ in range(count)])
-    stops = 5.0 + (stops - 5.0) * min(1.0, max(0.0, (140.0 - 9.0 * count) / stops.sum()))
-    moves, now = [], rest
+    stops = 5.0 + (stops - 5.0) * min(1.0, max(0.0, (130.0 - 9.0 * count) / stops.sum()))
+    moves: list[tuple[float, float, float, float]] = []
+    now = rest
     for k, stop in enumerate(stops, 1):
-        last = k == count or (len(moves) > 1 and now - rest > 90.0)
+        last = k == count or (len(moves) > 1 and now - rest > 80.0)
         length, hard = r.uniform(35.0, 60.0) if last else draw_log(r, 5.0, 60.0), r.uniform(0.4, 1.1)
         peak = r.uniform(3.0, 4.0) if last else min(r.uniform(2.0, 8.0), np.sqrt(hard * length))
         ramp = peak / hard
         moves.append((now, peak, ramp, length / peak - ramp))
-        now += length / peak + ramp + stop
+        now += length / peak + ramp + (min(stop, 15.0) if last else stop)
         if last:
             break
     return moves, now

@@ -313,10 +313,10 @@ class InitialState(Rebuilt):
         Attitude quaternion, b to n.
     cov : ndarray, (9, 9)
         Covariance of the errors (pos_n [m], vel_n [m/s], phi_n [rad]).
-    alignment : {"given", "level", "course"}
+    alignment : {"given", "level", "course", "motion"}
         What is given: everything; the position at standstill; nothing.
     align_for : float
-        "level": longest standstill used; "course": length of the alignment [s].
+        "level": longest standstill used; "course", "motion": length of the alignment [s].
     drift_sd : float
         "course": sigma of the angle between course and nose, from wind and sideslip [rad].
     bias_cov : ndarray, (9, 6)

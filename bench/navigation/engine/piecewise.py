@@ -89,6 +89,16 @@ class KnowsImuErrors(InPieces, Protocol):
 
 
 @runtime_checkable
+class MayGoAstray(InPieces, Protocol):
+    """Filter that is linear in the heading, and notices where that is not enough."""
+
+    @property
+    def astray(self) -> float | None:
+        """When GNSS met a moving vehicle whose heading is unknown [s]; None if it did not."""
+        ...
+
+
+@runtime_checkable
 class RunsInPieces(Protocol):
     """A filter that runs in pieces.
 

@@ -33,7 +33,7 @@ from bench.navigation.error_state_filter.error_state import (
     mirror_kernel,
     transition_kernel,
 )
-from bench.navigation.error_state_filter.rough_heading import stand_kernel, steady_kernel
+from bench.navigation.error_state_filter.rough_heading import curve_kernel, stand_kernel, steady_kernel
 from bench.navigation.error_state_filter.state_blocks import Index, Process
 from bench.navigation.mechanization import STATE_SIZE, body_step_kernel, step_kernel
 
@@ -113,8 +113,8 @@ class UpdateWork(NamedTuple):
 class Carried(NamedTuple):
     """Data that the next step needs from earlier steps; also the first three of `MeasureWork`."""
 
-    whole: FloatArray  # (66 + D,) memory of all of it
-    kept: FloatArray  # (66 + D,) a copy, while a filter goes ahead for an answer
+    whole: FloatArray  # (67 + D,) memory of all of it
+    kept: FloatArray  # (67 + D,) a copy, while a filter goes ahead for an answer
     before: FloatArray  # (7,) the step before, for coning and sculling
     C_mean: FloatArray  # (3, 3)
     reference: FloatArray  # (10,)
@@ -123,6 +123,8 @@ class Carried(NamedTuple):
     known: FloatArray
     lost: FloatArray  # (2,) variance of velocity and attitude that a gap adds to a step of the covariance
     elapsed: FloatArray  # (1,) since the last step of the covariance [s]
+    # (1,) when GNSS met a moving vehicle whose heading is unknown [s]; 0 if it did not
+    astray: FloatArray
     factor: FloatArray  # (D,) mean of what a drive multiplies its state by, over that step
 
 
@@ -152,7 +154,7 @@ class Work(NamedTuple):
 def work_for(n: int, drives: IntArray) -> Work:
     """Return the memory for n states and their drives (D, 3)."""
     D = len(drives)
-    shapes = (7,), (2, 3), (3,), (8, 3), (3, 3), (STATE_SIZE,), (4,), (2,), (1,), (D,)
+    shapes = (7,), (2, 3), (3,), (8, 3), (3, 3), (STATE_SIZE,), (4,), (2,), (1,), (1,), (D,)
     ends = np.cumsum([math.prod(shape) for shape in shapes])
     whole = np.zeros(ends[-1])
     before, last, force_n, vectors, *others = (
@@ -398,6 +400,7 @@ def advance_kernel(
             state[i + 1] *= decay[i]
         dynamics_kernel(reference, C_mean, dv_sum, F)
         steady_kernel(reference, dv_sum, process.q[VEL] / T, F)
+        curve_kernel(dv_sum, T, P)
         lost_heading = stand_kernel(state, T, P, F, noise)
         transition_kernel(F, T, G)
         if clock >= 0:

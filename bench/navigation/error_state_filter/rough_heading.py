@@ -17,6 +17,7 @@ from bench.core.mathematics.earth import EARTH_RATE, radii_kernel
 WIDE = float(np.deg2rad(30.0))  # sd of a heading from which on one linear filter is not enough [rad]
 UNKNOWN_HEADING_SD = float(np.pi / np.sqrt(3.0))  # a heading anywhere from -180 to 180 deg [rad]
 _ROUGH = 0.05  # sd from which on motion that may be none does not tell it [rad]
+_CURVED = float(np.deg2rad(2.0))  # sd of a heading from which on its second order counts [rad]
 _SIGMAS = 3.0  # a velocity within these of zero may be none
 _NOISE_SIGMAS = 3.0  # a force within these of a steady flight's may be noise
 _VEL_SD = 1.0  # a velocity known worse than this tells nothing of standing [m/s]
@@ -69,6 +70,27 @@ def steady_kernel(nav: FloatArray, f_n: FloatArray, variance: float, F: FloatArr
     F[3, 8], F[4, 8], F[5, 6], F[5, 7] = -east, north, east, -north
 
 
+@inner
+def curve_kernel(f_n: FloatArray, T: float, P: FloatArray) -> None:
+    """Add to P what a force f_n (3,) [m/s^2], n, over T [s] does to a velocity along itself: second order.
+
+    With an error psi of the heading, a gained velocity v is psi v off across and psi^2 v / 2 short along it;
+    the mean square of that is 3/4 sd^4 v^2. The linear model says what v is: by its part that goes with psi.
+    """
+    if not _CURVED**2 < P[8, 8] < WIDE**2:
+        return
+    north, east = P[4, 8] / P[8, 8], -P[3, 8] / P[8, 8]
+    before2 = north * north + east * east
+    north, east = north + f_n[0] * T, east + f_n[1] * T
+    after2 = north * north + east * east
+    if after2 > before2:
+        more = 0.75 * P[8, 8] * P[8, 8] * (after2 - before2) / after2
+        P[3, 3] += more * north * north
+        P[4, 4] += more * east * east
+        P[3, 4] += more * north * east
+        P[4, 3] += more * north * east
+
+
 @kernel
 def stand_kernel(state: FloatArray, T: float, P: FloatArray, F: FloatArray, noise: FloatArray) -> bool:
     """Remove the effect of an uncertain heading from F (9, 15) over T [s], while the vehicle may stand.
@@ -94,6 +116,12 @@ def stand_kernel(state: FloatArray, T: float, P: FloatArray, F: FloatArray, nois
             P[8, i], P[i, 8] = 0.0, 0.0
         P[8, 8] = UNKNOWN_HEADING_SD**2
     return lost
+
+
+@inner
+def astray_kernel(state: FloatArray, P: FloatArray) -> bool:
+    """Return whether the heading is unknown and the vehicle moves: a linear filter finds a wrong one."""
+    return bool(P[8, 8] > WIDE**2 and not _stands_kernel(state, P))
 
 
 @kernel

@@ -22,6 +22,8 @@ _NOISY = 1.5  # sd of the samples over that of their noise: 200 samples stay bel
 _FEWEST = 4  # samples that tell their noise
 _SWINGS = 0.3  # change of the mean between halves of a window over the sd of what shakes on the ground
 _SIGMAS = 4.0  # of the biases, granted to the means
+STILL_SD = float(np.deg2rad(0.1))  # of the change of an angle at rest, with the Earth's turn [rad]
+_TURNS = 5.0  # of these sigmas: it has turned
 _GRAVITY_SPREAD = 0.06  # normal gravity between equator, poles and 12 km [m/s^2]
 
 
@@ -84,6 +86,29 @@ class StandstillDetector(ImuSampler):
 def rate_variance(spec: ImuSpec) -> float:
     """Return the variance of the mean rate in a window about the Earth rate plus the bias [rad^2/s^2]."""
     return spec.gyro.random_walk**2 / WINDOW + RATE_SD**2
+
+
+def count_steady(rate_b: FloatArray, usual_b: FloatArray | None, gyro: TriadSpec) -> int:
+    """Return in how many windows from the first on a unit does not turn: its rates add up to no angle.
+
+    Parameters
+    ----------
+    rate_b : (W, 3) array
+        Mean rates of windows of a standstill, in order [rad/s].
+    usual_b : (3,) array, optional
+        Mean rate before them; without one, that of the windows before each.
+    gyro : TriadSpec
+        Noise and instability of the rates.
+    """
+    begun = int(usual_b is None and len(rate_b) > 0)  # its rate is that of the first
+    k = np.arange(1.0, len(rate_b) + 1.0)[:, None]
+    before = usual_b if usual_b is not None else (np.cumsum(rate_b, axis=0) / k)[:-1]
+    rate_b, k = rate_b[begun:] - before, k[: len(rate_b) - begun]
+    angle = np.abs(np.cumsum(rate_b, axis=0)) * WINDOW
+    T = k * WINDOW
+    sd = np.sqrt(STILL_SD**2 + 2.0 * T * gyro.random_walk**2 + (T * gyro.instability_sd) ** 2)
+    turns: BoolArray = np.asarray((angle > _TURNS * sd).any(axis=1))
+    return begun + (int(np.argmax(turns)) if turns.any() else len(turns))
 
 
 def _sample_sd(triad: TriadSpec, dt: FloatArray, vibration: float) -> FloatArray:

@@ -318,6 +318,11 @@ class Passage(SessionState):
         self.schedule.output_t = np.empty(0)
         return answer_now(self, head)
 
+    @property
+    def astray(self) -> float | None:
+        """When a heading that is unknown began to count [s] (`piecewise.MayGoAstray`)."""
+        return self.run.astray
+
     def steady_errors(self) -> tuple[FloatArray, FloatArray]:
         """Return the errors (6,) of gyros and accelerometers at the end in level flight, and their sd."""
         run, process = self.run, self.run.model.process

@@ -12,6 +12,9 @@ with F the mean specific force in n and e the error of the gain over its time,
 
     phi_E = (e_N + phi_D F_E) / F_D      phi_N = (phi_D F_N - e_E) / F_D
 
+``motion`` is the same over a few seconds at any speed, the nose north with a sd of UNKNOWN: what the heading
+may be is left to `headings`, whose hypotheses tilt with it.
+
 The covariances hold the biases, noise and misalignments of the datasheet; ``bias_cov`` is the covariance of
 attitude and biases. Without it the filter treats tilt and accelerometer bias as independent, and halves the
 tilt variance at the first zero-velocity update, which observed nothing new. What follows when the heading is
@@ -60,9 +63,9 @@ def complete(sensors: SensorData, initial: InitialState) -> tuple[InitialState, 
         return initial, []
     if initial.alignment == "level":
         return align_at_rest(sensors, initial)
-    if initial.alignment == "course":
+    if initial.alignment in ("course", "motion"):
         return align_on_the_move(sensors, initial)
-    raise EstimatorError(f"alignment = {initial.alignment!r} must be 'given', 'level' or 'course'")
+    raise EstimatorError(f"alignment = {initial.alignment!r} must be 'given', 'level', 'course' or 'motion'")
 
 
 class StartSearch(SessionState):

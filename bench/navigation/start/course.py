@@ -20,6 +20,8 @@ from bench.navigation.start.leveling import WINDOW, Rows, common_variance, mean_
 
 LEAST_SPEED = 5.0  # over ground, for a course [m/s]
 _ROLLS = 0.0, np.pi, 0.5 * np.pi, -0.5 * np.pi  # at the start, until one leads to an attitude [rad]
+SHORTEST = 1.0  # segment [s]
+LINEAR_TURN = float(np.deg2rad(15.0))  # that the bias of a gyro may add to it [rad]
 _FALLS = 3.0  # mean vertical acceleration that the fixes do not have: no error of an IMU is so large [m/s^2]
 SHARE = 1.0 / 3.0  # of a segment without velocities, at each end, whose positions give its velocity [1]
 
@@ -27,13 +29,14 @@ SHARE = 1.0 / 3.0  # of a segment without velocities, at each end, whose positio
 def align_on_the_move(sensors: SensorData, initial: InitialState) -> tuple[InitialState, Rows]:
     """Return the state at the end of a course, and what was done (`alignment.complete`)."""
     fixes, specs = sensors.fixes, sensors.specs
+    name, any_way = initial.alignment, initial.alignment == "motion"
     if fixes is None:
-        raise EstimatorError("alignment course needs GNSS fixes; the record has none")
+        raise EstimatorError(f"alignment {name} needs GNSS fixes; the record has none")
     gnss = assumed(specs, "gnss")
     rows, span, _ = timeline.imu_rows(sensors.imu, initial.t, specs.imu)
     if not len(rows):
         raise EstimatorError(
-            f"alignment course needs IMU samples; the record has no sound one after {initial.t:.6g} s"
+            f"alignment {name} needs IMU samples; the record has no sound one after {initial.t:.6g} s"
         )
     t = np.concatenate([[initial.t], sensors.imu.t[rows]])
     usable, arrival, _ = timeline.fix_rows(fixes, t[1:], initial.t)
@@ -46,7 +49,9 @@ def align_on_the_move(sensors: SensorData, initial: InitialState) -> tuple[Initi
     speed = np.hypot(*fixes.vel_n[usable, :2].T) if by_velocity else speeds(fixes, usable)
     long = np.flatnonzero(span - sensors.imu.dt[rows] > timeline.LONGEST_BRIDGE)
     edges = np.sort(np.concatenate([t[long], t[long + 1] - sensors.imu.dt[rows[long]]]))
-    first, last = find_motion(fixes.t[usable], speed, initial.align_for, edges)
+    least = 0.0 if any_way else LEAST_SPEED
+    length = min(initial.align_for, max(SHORTEST, LINEAR_TURN / max(specs.imu.gyro.turn_on_bias_sd, 1e-9)))
+    first, last = find_motion(fixes.t[usable], speed, length, edges, least)
     i, j = usable[first], usable[last]
     ends: tuple[int, ...] = (int(i), int(j)) if by_velocity else quartet(fixes, usable[first : last + 1])
     samples = [int(np.argmin(np.abs(t - fixes.t[k]))) for k in ends]  # next to them
@@ -55,12 +60,21 @@ def align_on_the_move(sensors: SensorData, initial: InitialState) -> tuple[Initi
     scale = (span / sensors.imu.dt[rows])[:, None]
     dtheta, dvel = sensors.imu.dtheta_b[rows] * scale, sensors.imu.dvel_b[rows] * scale
     for roll in _ROLLS:
-        path = _find_path(sensors, ends, [k - a for k in samples], span[a:b], dtheta[a:b], dvel[a:b], roll)
+        path = _find_path(
+            sensors,
+            ends,
+            [k - a for k in samples],
+            span[a:b],
+            dtheta[a:b],
+            dvel[a:b],
+            roll,
+            along=not any_way,
+        )
         if path is not None:
             break
     else:
         raise EstimatorError(
-            "alignment course: no attitude makes the inertial velocity follow the fixes; "
+            f"alignment {name}: no attitude makes the inertial velocity follow the fixes; "
             "do they belong together?"
         )
     states, F = path
@@ -80,7 +94,7 @@ def align_on_the_move(sensors: SensorData, initial: InitialState) -> tuple[Initi
         common = fix_variance(gnss, gnss_markov=True)[:3] / late  # by the last fix
     g = float(earth.gravity_n(end[0], end[2])[2])
     speed = float(np.hypot(end[3], end[4]))
-    across = np.array([-end[4], end[3]]) / speed**2
+    across = np.zeros(2) if any_way else np.array([-end[4], end[3]]) / speed**2
     warmth = float(thermal_figures(initial.t, float(end[2]), specs.imu)[0])
     force_sd, _ = mean_sd(sensors, T, g, warmth)
     gyro = specs.imu.gyro
@@ -117,10 +131,12 @@ def align_on_the_move(sensors: SensorData, initial: InitialState) -> tuple[Initi
     bias_cov[6:, :3] = -T / 2 * J[:, 7:] @ C[:2] * common_variance(gyro, T)
     rest = propagate(end[:3], end[3:6], end[6:], span[b:stop], dtheta[b:stop], dvel[b:stop])[-1]
     sd = np.rad2deg(np.sqrt(np.diag(cov)[6:]))
-    text = (
-        f"heading by the course of {T:.3g} s at {speed:.3g} m/s, sd {sd[2]:.2g} deg, "
-        f"{np.rad2deg(initial.drift_sd):.2g} deg of it wind and sideslip; tilt sd {max(sd[:2]):.2g} deg"
-    )
+    text = f"leveled by the velocity gained in {T:.3g} s, tilt sd {max(sd[:2]):.2g} deg; heading is unknown"
+    if not any_way:
+        text = (
+            f"heading by the course of {T:.3g} s at {speed:.3g} m/s, sd {sd[2]:.2g} deg, "
+            f"{np.rad2deg(initial.drift_sd):.2g} deg of it wind and sideslip; tilt sd {max(sd[:2]):.2g} deg"
+        )
     found = replace(
         initial,
         t=float(t[stop]),
@@ -135,24 +151,29 @@ def align_on_the_move(sensors: SensorData, initial: InitialState) -> tuple[Initi
     return found, [(float(fixes.t[i]), found.t, "alignment", text)]
 
 
-def find_motion(t: FloatArray, speed: FloatArray, length: float, edges: FloatArray) -> tuple[int, int]:
+def find_motion(
+    t: FloatArray, speed: FloatArray, length: float, edges: FloatArray, least: float = LEAST_SPEED
+) -> tuple[int, int]:
     """Return the first and last fix of the first segment of a length [s] with motion throughout.
 
-    ``edges`` are where long gaps of the IMU begin and end: no segment reaches over one.
+    The speed is ``least`` [m/s] or more; ``edges`` are where long gaps of the IMU begin and end: no segment
+    reaches over one.
     """
     start, passed = 0, np.searchsorted(edges, t)
     for k in range(len(t)):
         if passed[k] != passed[start]:
             start = k
-        if speed[k] < LEAST_SPEED:
+        if speed[k] < least:
             start = k + 1
         elif t[k] - t[start] >= length - timeline.TIME_TOLERANCE:
             return start, k
     fastest = (
         f"the fastest of {len(t)} fixes has {speed.max():.3g} m/s" if len(t) else "there is no sound fix"
     )
+    if least == 0.0:
+        raise EstimatorError(f"alignment motion needs {length:g} s of fixes and IMU samples without a gap")
     raise EstimatorError(
-        f"alignment course needs {length:g} s of fixes above {LEAST_SPEED:g} m/s over ground; {fastest}"
+        f"alignment course needs {length:g} s of fixes above {least:g} m/s over ground; {fastest}"
     )
 
 
@@ -190,14 +211,16 @@ def _find_path(
     dtheta: FloatArray,
     dvel: FloatArray,
     roll: float,
+    *,
+    along: bool,
 ) -> tuple[FloatArray, FloatArray] | None:
     """Return the strapdown along some fixes that matches their velocity change and final course, and F.
 
     Of two fixes the velocities are measured; of four without velocity, next to the IMU ``samples``, it gains
     that by which the mean between the last two exceeds that between the first. Newton's iteration on the
     attitude at the start, from a ``roll`` [rad] on; the lever arm is taken off the fixes. It looks at the
-    horizontal velocity. None if that leads nowhere, or to an attitude with which the aircraft would gain
-    another vertical one: upside down.
+    horizontal velocity. Not ``along`` its course, the nose points north. None if that leads nowhere, or to an
+    attitude with which the aircraft would gain another vertical one: upside down.
     """
     assert sensors.fixes is not None
     lla, arm_b, moving = sensors.fixes.lla[list(ends)], sensors.antenna_b, len(ends) == 2
@@ -225,7 +248,7 @@ def _find_path(
             wanted = end[3:6] - last - e * (0.5 * late)
             vel = vel - first + 0.5 * early * e
         F = (end[3:6] - states[0, 3:6]) / T - earth.gravity_n(end[0], end[2])
-        turn = rotation.to_euler(end[6:])[2] - np.arctan2(wanted[1], wanted[0])
+        turn = rotation.to_euler(end[6:])[2] - (np.arctan2(wanted[1], wanted[0]) if along else 0.0)
         down = np.pi - np.mod(np.pi - turn, 2 * np.pi)
         phi = np.array([(down * F[0] - e[1]) / F[2], (e[0] + down * F[1]) / F[2], down])
         q = rotation.multiply(rotation.from_rotvec(-phi), q)

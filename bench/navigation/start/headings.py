@@ -36,6 +36,7 @@ from bench.core.records.data import (
 from bench.navigation.engine.piecewise import (
     InPieces,
     KnowsImuErrors,
+    MayGoAstray,
     answer_now,
     join_solutions,
     join_tables,
@@ -106,6 +107,11 @@ class ManyHeadings(SessionState):
     def end(self) -> float:
         """Time of the last processed IMU sample, or of the start [s]."""
         return self.members[0].end
+
+    @property
+    def astray(self) -> float | None:
+        """When a heading that is unknown began to count [s] (`piecewise.MayGoAstray`)."""
+        return cast("MayGoAstray", self.members[0]).astray if self.complete else None
 
     def steady_errors(self) -> tuple[FloatArray, FloatArray]:
         """Return the steady errors of the hypothesis that is the estimate (`piecewise.KnowsImuErrors`)."""

@@ -3,12 +3,14 @@
 Over seconds without IMU the tilt may be anything, and the linear error model of a filter breaks: it would
 come back meters off and claim decimeters. So it stops at the last sample before the gap. From there on
 position and velocity come from the fixes alone (`fixes_only`); the attitude is held and its
-covariance grows. When the samples are back, the alignment at rest or on the move finds the attitude
+covariance grows. When the samples are back, the alignment at rest or in motion finds the attitude
 (`alignment`), and the filter starts again. Its IMU biases are kept, each with its variance; all other
 states begin as at the first start. A filter without fixes ends at the gap: nothing tells where it is.
 
 A filter that has rejected sound fixes for long is lost (`refused_fixes`): it is reset in the same way, with
 nothing taken over of what it said, biases included: with a heading wrong by 90 deg it has learnt wrong ones.
+One that has lost its heading alone, in a hover, is reset when GNSS shows that it moves: a linear filter would
+find a wrong one. Its biases are kept.
 """
 
 from __future__ import annotations
@@ -28,6 +30,7 @@ from bench.navigation.engine.imu_range import count_lost, name_ranges
 from bench.navigation.engine.piecewise import (
     InPieces,
     KnowsImuErrors,
+    MayGoAstray,
     answer_now,
     join_solutions,
     take_after,
@@ -43,6 +46,7 @@ from bench.navigation.engine.record_cuts import (
 )
 from bench.navigation.engine.session import Kept, Replaced, SessionState, require
 from bench.navigation.error_state_filter.measurement_rows import POSITION, SENSORS
+from bench.navigation.error_state_filter.rough_heading import UNKNOWN_HEADING_SD
 from bench.navigation.error_state_filter.state_blocks import WIND_SD
 from bench.navigation.error_state_filter.state_processes import assumed
 from bench.navigation.options import FixAccuracy
@@ -50,10 +54,12 @@ from bench.navigation.start import alignment
 from bench.navigation.start.alignment import StartSearch
 from bench.navigation.start.course import LEAST_SPEED
 from bench.navigation.start.fixes_only import Coast, End, fresh_fixes, lost_at
+from bench.navigation.start.headings import LINEAR
 from bench.navigation.start.learnt_biases import UNLEARNT, LearntBiases, learn_biases
 from bench.navigation.start.refused_fixes import SHARE, RefusedFixes
 
 _ALIGN_FOR = 10.0  # of a segment that gives the course, or of a standstill [s]
+_MATCHED_FOR = 2.0  # of a segment whose velocities level the IMU [s]
 _STILL = 0.3  # speed below which an aircraft stood before a gap [m/s]
 _SIGMAS = 5.0  # by which it may seem to have moved in it
 _LONG = 10.0  # piece within which a filter may get lost: a copy of it is kept [s]
@@ -215,11 +221,13 @@ class BetweenGaps(SessionState):
             solution = self._own(self.filter.update(self._less(part), look_back, last=last))
         else:
             solution = self._end_at(part, ended)
-        lost = None if self.watch is None else self.watch.find(solution.innovations)
-        if lost is not None:
-            self.biases = before
-            self._reset(lost, look_back, found, last=last, ended=ended)
-            return
+        lost, astray = None, self.filter.astray if isinstance(self.filter, MayGoAstray) else None
+        if self.watch is not None and self.since is not None:
+            lost = self.watch.find(solution.innovations)
+            if lost is not None or astray is not None:
+                self.biases = before
+                self._reset(lost, astray, look_back, found, last=last, ended=ended)
+                return
         found.append(solution)
         self._drop_copy(solution)
 
@@ -236,45 +244,58 @@ class BetweenGaps(SessionState):
 
     def _keep_copy(self, part: SensorData) -> None:
         """Copy the filter if it may diverge in a part; if a copy exists, store the part."""
-        if self.watch is None:
+        if self.accuracy is None:
             return
         assert self.filter is not None
+        refused = self.watch is not None and self.watch.any_refused
         if self.since is not None:
             self.since = join_pieces(self.since, part)
-        elif self.watch.any_refused or newest_sample(part) - self.filter.end > _LONG:
+        elif refused or newest_sample(part) - self.filter.end > _LONG:
             self.fork, self.since, self.told = self.filter.copy(), part, (-np.inf, -np.inf)
 
     def _drop_copy(self, solution: NavSolution) -> None:
         """Drop the copy if nothing was rejected recently; else remember the solution since the copy."""
         if self.since is None:
             return
-        assert self.watch is not None
-        kept = self.filter is not None and self.watch.any_refused
+        kept = self.filter is not None and self.watch is not None and self.watch.any_refused
         if not kept or newest_sample(self.since) - self.since.imu.t.min(initial=np.inf) > LONGEST_KEPT:
             self.fork, self.since = None, None
         answered, told = self.told
         self.told = float(solution.t.max(initial=answered)), float(solution.innovations.t.max(initial=told))
 
     def _reset(
-        self, t: float, look_back: float, found: list[NavSolution], *, last: bool, ended: float | None
+        self,
+        lost: float | None,
+        astray: float | None,
+        look_back: float,
+        found: list[NavSolution],
+        *,
+        last: bool,
+        ended: float | None,
     ) -> None:
-        """End the filter at its divergence [s], continue with fixes alone and process the later record."""
+        """End the filter where it has diverged or gone astray [s], go on with fixes alone and the rest."""
         assert self.watch is not None
         assert self.since is not None
-        record, told, fix = self.since, self.told, self.watch.last(t)
+        t = min(time for time in (lost, astray) if time is not None)
+        record, told = self.since, self.told
+        assert record.fixes is not None
+        arrived = record.fixes.take(record.fixes.t_arrival <= t + timeline.TIME_TOLERANCE)
+        fix = fresh_fixes(arrived, -np.inf)[0] if t == astray else self.watch.last(t)
         self.filter, self.fork, self.since = self.fork, None, None
         ahead = record.imu.t > t
         part, before = cut_piece(record, np.flatnonzero(~ahead), -np.inf, t), self.biases
         found.append(take_after(*told, self._end_at(part, t)))
-        self.biases = before  # what it has learnt is as wrong as its attitude
+        why = "GNSS shows motion while the heading is unknown"
+        if t != astray:
+            self.biases = before  # what it has learnt is as wrong as its attitude
+            why = f"fixes of {SHARE:.0%} of {self.watch.window:g} s rejected that moved as their velocities"
         assert self.stopped is not None
         assert self.accuracy is not None
         coast = Coast(self.head, lost_at(t, self.stopped), self.names, self.accuracy)
-        coast.take(fix)
-        why = f"fixes of {SHARE:.0%} of {self.watch.window:g} s rejected that moved as their velocities"
+        coast.take(fix.take(np.array([len(fix) - 1])))
         self.pause = _Pause(coast, (t, t), "reset", why, np.empty(0), None, [], [])
         self.watch.forget()
-        self.newest = float(fix.t[-1])
+        self.newest = float(fix.t.max())
         rest = cut_piece(record, np.flatnonzero(ahead), t, np.inf)
         self._take(rest, look_back, found, last=last, ended=ended)
 
@@ -421,17 +442,19 @@ def between_gaps(
 
 
 def list_starts(begin: float, coast: Coast) -> list[StartSearch]:
-    """Return the search for an alignment after a gap that ended at a time [s]: at rest, then moving."""
+    """Return the searches for an alignment after a gap that ended at a time [s]: at rest, then moving."""
     lla, vel_n, cov = coast.at(begin)
     before, unknown = coast.end, np.full(4, np.nan)
     speed = float(np.nan_to_num(np.hypot(*vel_n[:2])))  # a filter may have ended without a velocity
     wide = np.diag(np.full(9, np.inf))
+    drift_sd = float(np.arctan2(WIND_SD, max(speed, LEAST_SPEED)))
+    nothing = InitialState(begin, unknown[:3], unknown[:3], unknown, wide, "course", _ALIGN_FOR)
     ways = [
-        InitialState(
-            begin, unknown[:3], unknown[:3], unknown, wide, "course", _ALIGN_FOR,
-            drift_sd=float(np.arctan2(WIND_SD, max(speed, LEAST_SPEED))),
-        )
-    ]  # fmt: skip
+        replace(nothing, drift_sd=drift_sd),
+        replace(nothing, alignment="motion", align_for=_MATCHED_FOR, drift_sd=UNKNOWN_HEADING_SD),
+    ]
+    if drift_sd > LINEAR:
+        ways.reverse()  # the course says no more of the heading than motion will
     if np.isfinite(lla).all():
         wide = wide.copy()
         wide[:3, :3] = cov[:3, :3]

@@ -24,7 +24,12 @@ from bench.core.records.sensor_specs import ImuSpec
 from bench.navigation.engine.session import Kept, Replaced, SessionState, require
 from bench.navigation.error_state_filter.imu_states import thermal_figures
 from bench.navigation.error_state_filter.rough_heading import UNKNOWN_HEADING_SD
-from bench.navigation.error_state_filter.standstill import WINDOW, StandstillDetector
+from bench.navigation.error_state_filter.standstill import (
+    STILL_SD,
+    WINDOW,
+    StandstillDetector,
+    count_steady,
+)
 from bench.navigation.error_state_filter.state_blocks import WIND_WALK
 from bench.navigation.error_state_filter.state_processes import Block, States
 from bench.navigation.start.course import LEAST_SPEED
@@ -35,7 +40,6 @@ INTERVAL = 10.0  # after it, in which what moves nose and course apart is anothe
 STRAIGHT = float(np.deg2rad(10.0))  # largest change of the course [rad]
 TURNED_SD = float(np.deg2rad(5.0))  # of the change of an angle that the course does not show [rad]
 STILL = 0.5  # largest speed over ground at rest, by fixes [m/s]
-STILL_SD = float(np.deg2rad(0.1))  # of the change of an angle at rest, with the Earth's turn [rad]
 STANDS = 0.5  # least part of the time in which the gyros show a standstill of what stands
 
 
@@ -73,12 +77,15 @@ class SteadyCourse(SessionState):
     over: Kept[bool]  # the course has left
     detector: Kept[StandstillDetector]
     stood: Replaced[FloatArray]  # (W,) ends of windows of a standstill after ``measured`` [s]
+    rates: Replaced[FloatArray]  # (W, 3) mean rates of the gyros in them [rad/s]
+    usual: Replaced[FloatArray | None]  # (3,) their mean before ``measured``
     measured: Kept[float]  # arrival of the last fix that gave an angle [s]
 
     def __init__(self, initial: InitialState, imu: ImuSpec, *, steady: bool) -> None:
         self.start, self.newest, self.first = initial.t, -math.inf, math.nan
         self.detector = StandstillDetector(initial.t, imu, gyro_sd=gyro_error_sd(imu, initial))
-        self.stood, self.measured = np.empty(0), -math.inf
+        self.stood, self.rates, self.usual, self.measured = np.empty(0), np.empty((0, 3)), None, -math.inf
+        self.gyro = imu.gyro
         self.speed = float(np.nan_to_num(np.hypot(*initial.vel_n[:2])))
         self.moving, self.over, self.steady = False, not steady, steady
 
@@ -103,7 +110,8 @@ class SteadyCourse(SessionState):
         fixes, nothing = record.fixes, (np.empty(0), np.empty((0, 1)), np.zeros(6))
         if self.over or fixes is None:
             return nothing
-        self.stood = np.append(self.stood, self.detector.take(samples)[0])
+        ends, motion_b, _ = self.detector.take(samples)
+        self.stood, self.rates = np.append(self.stood, ends), np.vstack([self.rates, motion_b[:, :3]])
         t, course, speed = _courses(fixes)
         fresh = t > max(self.newest, self.start)
         t, course, speed = t[fresh], course[fresh], speed[fresh]
@@ -130,14 +138,19 @@ class SteadyCourse(SessionState):
             if not self.moving and not self._has_stood(now):
                 t, course, self.over = t[:k], course[:k], True
                 break
-            self.stood, self.measured = self.stood[self.stood > now], now
+            done = int(np.searchsorted(self.stood, now, "right"))
+            if done:
+                self.usual = self.rates[:done].mean(axis=0)
+            self.stood, self.rates, self.measured = self.stood[done:], self.rates[done:], now
         sd = TURNED_SD if self.moving else STILL_SD
         return t, course[:, None], np.full(6, sd**2)
 
     def _has_stood(self, now: float) -> bool:
         """Return whether the gyros show a standstill from the last measured angle until a time [s]."""
-        span = now - self.measured
-        return math.isinf(span) or float(np.sum(self.stood <= now)) * WINDOW >= STANDS * (span - WINDOW)
+        count, span = int(np.searchsorted(self.stood, now, "right")), now - self.measured
+        if count_steady(self.rates[:count], self.usual, self.gyro) < count:
+            return False
+        return math.isinf(span) or count * WINDOW >= STANDS * (span - WINDOW)
 
     def check(self) -> None:
         """Check that the filter has a state for the measured angle."""

@@ -26,6 +26,7 @@ from bench.navigation.engine.kept_rows import take_rows
 from bench.navigation.engine.piecewise import (
     InPieces,
     KnowsImuErrors,
+    MayGoAstray,
     join_solutions,
     take_after,
 )
@@ -46,7 +47,6 @@ from bench.navigation.start.steady_course import (
     FIRST,
     STANDS,
     STILL,
-    STILL_SD,
     STRAIGHT,
     TURNED_SD,
     gyro_error_sd,
@@ -99,6 +99,11 @@ class FromTurnOn(SessionState):
     def end(self) -> float:
         """Time of the last processed IMU sample, or of the start [s]."""
         return self.filter.end
+
+    @property
+    def astray(self) -> float | None:
+        """When a heading that is unknown began to count [s] (`piecewise.MayGoAstray`)."""
+        return cast("MayGoAstray", self.filter).astray
 
     def steady_errors(self) -> tuple[FloatArray, FloatArray]:
         """Return the steady errors of the filter plus the bias found before (`piecewise.KnowsImuErrors`)."""
@@ -236,11 +241,13 @@ def find_turn_on(sensors: SensorData, initial: InitialState, until: float = math
         inside = rows[sensors.imu.t[rows] <= until]
         detector = StandstillDetector(initial.t, spec, gyro_sd=gyro_error_sd(spec, initial))
         ends, motion_b, _ = detector.take(take_rows(sensors.imu, inside))
-        span, ended = len(ends) * standstill.WINDOW, False
+        count = standstill.count_steady(motion_b[:, :3], None, spec.gyro)
+        ends, motion_b = ends[:count], motion_b[:count]
+        span, ended = count * standstill.WINDOW, False
         if span < max(FIRST_LOOK, STANDS * (float(t[-1]) - initial.t)):
             return None  # what hovers may turn
         spread = float(motion_b[:, :3].std(axis=0).max())
-        sd, bias_b = math.hypot(STILL_SD, spread * math.sqrt(span)), motion_b[:, :3].mean(axis=0)
+        sd, bias_b = math.hypot(standstill.STILL_SD, spread * math.sqrt(span)), motion_b[:, :3].mean(axis=0)
         end = float(ends[-1])
     else:
         course = np.unwrap(np.arctan2(vel_n[:, 1], vel_n[:, 0]))
