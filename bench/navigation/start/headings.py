@@ -111,7 +111,7 @@ class ManyHeadings(SessionState):
     @property
     def astray(self) -> float | None:
         """When a heading that is unknown began to count [s] (`piecewise.MayGoAstray`)."""
-        return cast("MayGoAstray", self.members[0]).astray if self.complete else None
+        return cast("MayGoAstray", self.members[0 if self.complete else self.best]).astray
 
     def steady_errors(self) -> tuple[FloatArray, FloatArray]:
         """Return the steady errors of the hypothesis that is the estimate (`piecewise.KnowsImuErrors`)."""

@@ -236,14 +236,17 @@ def find_turn_on(sensors: SensorData, initial: InitialState, until: float = math
     rows, _, _ = timeline.imu_rows(sensors.imu, initial.t, spec)
     if not len(t):
         return None
-    height, span, rests = fixes.lla[used, 2], 0.0, bool((speed < STILL).all())
-    if rests:  # an aircraft rocks on its gear and turns little
+    height, span, moving = fixes.lla[used, 2], 0.0, speed >= STILL
+    if not moving[0]:  # an aircraft rocks on its gear and turns little
+        if moving.any():
+            t = t[: int(np.argmax(moving))]
+            until = float(t[-1]) - standstill.WINDOW  # the next fix saw it move
         inside = rows[sensors.imu.t[rows] <= until]
         detector = StandstillDetector(initial.t, spec, gyro_sd=gyro_error_sd(spec, initial))
         ends, motion_b, _ = detector.take(take_rows(sensors.imu, inside))
         count = standstill.count_steady(motion_b[:, :3], None, spec.gyro)
-        ends, motion_b = ends[:count], motion_b[:count]
-        span, ended = count * standstill.WINDOW, False
+        ended = bool(moving.any()) or count < len(ends)
+        ends, motion_b, span = ends[:count], motion_b[:count], count * standstill.WINDOW
         if span < max(FIRST_LOOK, STANDS * (float(t[-1]) - initial.t)):
             return None  # what hovers may turn
         spread = float(motion_b[:, :3].std(axis=0).max())
