@@ -33,7 +33,12 @@ from bench.navigation.error_state_filter.error_state import (
     mirror_kernel,
     transition_kernel,
 )
-from bench.navigation.error_state_filter.rough_heading import curve_kernel, stand_kernel, steady_kernel
+from bench.navigation.error_state_filter.rough_heading import (
+    blur_kernel,
+    curve_kernel,
+    stand_kernel,
+    steady_kernel,
+)
 from bench.navigation.error_state_filter.state_blocks import Index, Process
 from bench.navigation.mechanization import STATE_SIZE, body_step_kernel, step_kernel
 
@@ -406,7 +411,9 @@ def advance_kernel(
         if clock >= 0:
             state[clock + 1] += T * state[clock + 2]
             clock_kernel(P, clock, T)
+        known_heading = P[8, 8]
         covariance_kernel(P, G, decay, noise, fading, drives, factor, memory)
+        blur_kernel(P[8, 8] - known_heading, P)
         if clock >= 0:
             together = 0.5 * process.q[clock + 1] * T * T
             P[clock, clock + 1] += together

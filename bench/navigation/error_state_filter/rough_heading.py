@@ -91,6 +91,21 @@ def curve_kernel(f_n: FloatArray, T: float, P: FloatArray) -> None:
         P[4, 3] += more * north * east
 
 
+@inner
+def blur_kernel(more: float, P: FloatArray) -> None:
+    """Add to P what a heading that has drifted by a variance ``more`` does to the tilts: second order.
+
+    A tilt that hides a bias of an accelerometer turns with the unit. The filter turns the biases with its own
+    heading and holds the tilts: by a drift psi, which nobody flew, they come apart by psi times the tilt.
+    """
+    if more > 0.0:
+        north, east, both = P[6, 6], P[7, 7], P[6, 7]
+        P[6, 6] += more * east
+        P[7, 7] += more * north
+        P[6, 7] -= more * both
+        P[7, 6] = P[6, 7]
+
+
 @kernel
 def stand_kernel(state: FloatArray, T: float, P: FloatArray, F: FloatArray, noise: FloatArray) -> bool:
     """Remove the effect of an uncertain heading from F (9, 15) over T [s], while the vehicle may stand.
