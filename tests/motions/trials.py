@@ -67,7 +67,8 @@ def list_units() -> tuple[str, ...]:
 
 
 @cache
-def _sensors(unit: str, receiver: str) -> SensorsSpec:
+def load_sensors(unit: str, receiver: str) -> SensorsSpec:
+    """Return the sensors of a trial, as assumed."""
     return read_profile("figure-eight", {"sensors.imu": unit, "sensors.gnss": receiver}).sensors
 
 
@@ -93,7 +94,7 @@ def run_trial(
     receiver = str(r.choice(RECEIVERS))
     start = str(r.choice(("given", "unknown", *motion.starts)))
     truth = make_truth(motion.vel_n, motion.euler)
-    spec = choose_start(_sensors(unit, receiver), motion, start)
+    spec = choose_start(load_sensors(unit, receiver), motion, start)
     drawn = sensors.sense(truth, spec, seed, number)
     begin = {"level": motion.rest, "course": 20.0}.get(start, 0.0)
     data = replace(drawn.data, output_t=drawn.data.output_t[drawn.data.output_t >= begin])

@@ -52,7 +52,8 @@ def test_it_stays_stopped_in_all_pieces(drawn, use):
         (0.1, -1.001 * HIGHEST, 0.0, True),
         (0.1, 0.0, 1.001 * FASTEST, True),
         (-1.58, 0.0, 0.0, True),
-        (np.nan, np.nan, np.nan, False),
+        (np.nan, 0.0, 0.0, True),
+        (0.1, 0.0, np.inf, True),
     ],
 )
 def test_the_limits(lat, height, speed, left):
@@ -64,3 +65,22 @@ def test_the_limits(lat, height, speed, left):
     assert np.isfinite(other).all(axis=(1, 2)).tolist() == [True, not left, not left]
     assert bound.end_answers(np.array([4.0]), state[:1], other[:1]) == []
     assert np.isfinite(other[0]).all() != left
+
+
+@pytest.mark.parametrize("variance", [np.nan, np.inf, 0.0, -1e-12])
+def test_a_variance_that_is_none_ends_the_filter(variance):
+    cov = np.tile(np.eye(9), (3, 1, 1))
+    cov[1, 4, 4] = variance
+    state = np.zeros((3, 7))
+    ((t, _, _, text, _),) = Earthbound().end_answers(np.array([1.0, 2.0, 3.0]), state, cov)
+    assert t == 2.0
+    assert text == "a variance is not finite or not above 0; the filter has stopped"
+    assert np.isfinite(state).all(axis=1).tolist() == [True, False, False]
+
+
+@pytest.mark.parametrize("every", [False, True])
+def test_a_row_without_a_state_is_no_answer_unless_every_row_is(every):
+    state, cov = np.zeros((3, 7)), np.tile(np.eye(9), (3, 1, 1))
+    state[2], cov[2] = np.nan, np.nan
+    events = Earthbound().end_answers(np.array([1.0, 2.0, 3.0]), state, cov, every=every)
+    assert [row[3] for row in events] == ["the state is not finite; the filter has stopped"] * every

@@ -26,7 +26,7 @@ from bench.navigation.engine.record_cuts import (
     take_head,
 )
 from bench.navigation.engine.velocity_consistency import MovedFixes
-from bench.navigation.error_state_filter import state_blocks
+from bench.navigation.error_state_filter import rough_heading, state_blocks
 from bench.navigation.start import alignment, fixes_only, restart
 from bench.navigation.start.fix_track import unknown_arm
 from bench.navigation.start.fixes_only import Coast, End, fresh_fixes, lost_at
@@ -483,9 +483,11 @@ def test_a_course_is_looked_for_every_two_seconds(monkeypatch):
         search.find(grown(14.0), 0.5, last=True)
 
 
-def test_an_alignment_is_one_of_three():
+def test_an_alignment_is_one_of_four():
     start = SimpleNamespace(alignment="north")
-    with pytest.raises(EstimatorError, match=r"^alignment = 'north' must be 'given', 'level' or 'course'$"):
+    with pytest.raises(
+        EstimatorError, match=r"^alignment = 'north' must be 'given', 'level', 'course' or 'motion'$"
+    ):
         alignment.complete(None, start)
 
 
@@ -500,7 +502,8 @@ def test_behind_a_gap_a_standstill_is_looked_for_first_and_keeps_its_heading(spe
     coast.take(fixes_at([6.0], [[0.0] * 3], [0.0] * 3))
     spread = np.sqrt(np.trace(coast.at(7.0)[2][:3, :3]))
     coast.end = coast.end._replace(lla=earth.displace(coast.at(7.0)[0], [moved * spread, 0.0, 0.0]))
-    level, course = (search.initial for search in restart.list_starts(7.0, coast))
+    level, motion, course = (search.initial for search in restart.list_starts(7.0, coast))
+    assert (motion.alignment, motion.t, motion.align_for) == ("motion", 7.0, 2.0)
     assert (level.alignment, level.t, level.align_for) == ("level", 7.0, 10.0)
     assert_allclose(level.lla, coast.at(7.0)[0])
     assert_allclose(level.cov[:3, :3], coast.at(7.0)[2][:3, :3])
@@ -515,10 +518,15 @@ def test_behind_a_gap_a_standstill_is_looked_for_first_and_keeps_its_heading(spe
 
 
 def test_behind_a_gap_a_fast_aircraft_may_have_its_nose_off_its_course_by_the_wind():
+    """Its course tells the heading to 15 deg; that of a slower one less than motion will."""
     coast = coasting(ended(vel_n=np.array([30.0, 40.0, 5.0])))
-    _, course = restart.list_starts(6.0, coast)
+    _, course, motion = restart.list_starts(6.0, coast)
     assert course.initial.drift_sd == pytest.approx(np.arctan(state_blocks.WIND_SD / 50.0))
-    (course,) = restart.list_starts(6.0, coasting(lost_at(5.0, ended())))  # and of a place that is not known
+    assert motion.initial.alignment == "motion"
+    motion, course = restart.list_starts(
+        6.0, coasting(lost_at(5.0, ended()))
+    )  # and of a place that is not known
+    assert motion.initial.drift_sd == rough_heading.UNKNOWN_HEADING_SD
     assert course.initial.drift_sd == pytest.approx(np.arctan(state_blocks.WIND_SD / 5.0))
 
 

@@ -361,11 +361,12 @@ class ForwardRun(SessionState):
         t = schedule.advance(plan)
         state, cov, variance = stores[:3]
         rows = np.searchsorted(t, wanted[plan.outputs])
-        if len(t) != m:
-            state, cov, variance = (spread(one, rows, len(t)) for one in stores[:3])
         add_arm(cov, self.antenna_b)
         events = schedule.events + refusals(numbers[0], marks, names, refused, last=schedule.last)
-        events += self.bound.end_answers(t, state, cov, variance)
+        answered = t if len(t) == m else t[rows]
+        events += self.bound.end_answers(answered, state, cov, variance, every=True)
+        if len(t) != m:
+            state, cov, variance = (spread(one, rows, len(t)) for one in stores[:3])
         schedule.events = []
         node = np.full(len(t), -1)
         if keep:

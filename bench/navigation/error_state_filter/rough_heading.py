@@ -70,7 +70,7 @@ def steady_kernel(nav: FloatArray, f_n: FloatArray, variance: float, F: FloatArr
     F[3, 8], F[4, 8], F[5, 6], F[5, 7] = -east, north, east, -north
 
 
-@inner
+@kernel
 def curve_kernel(f_n: FloatArray, T: float, P: FloatArray) -> None:
     """Add to P what a force f_n (3,) [m/s^2], n, over T [s] does to a velocity along itself: second order.
 
@@ -91,14 +91,14 @@ def curve_kernel(f_n: FloatArray, T: float, P: FloatArray) -> None:
         P[4, 3] += more * north * east
 
 
-@inner
+@kernel
 def blur_kernel(more: float, P: FloatArray) -> None:
     """Add to P what a heading that has drifted by a variance ``more`` does to the tilts: second order.
 
     A tilt that hides a bias of an accelerometer turns with the unit. The filter turns the biases with its own
     heading and holds the tilts: by a drift psi, which nobody flew, they come apart by psi times the tilt.
     """
-    if more > 0.0:
+    if more > 0.0 and P[8, 8] < WIDE**2:
         north, east, both = P[6, 6], P[7, 7], P[6, 7]
         P[6, 6] += more * east
         P[7, 7] += more * north

@@ -22,6 +22,7 @@ LEAST_SPEED = 5.0  # over ground, for a course [m/s]
 _ROLLS = 0.0, np.pi, 0.5 * np.pi, -0.5 * np.pi  # at the start, until one leads to an attitude [rad]
 SHORTEST = 1.0  # segment [s]
 LINEAR_TURN = float(np.deg2rad(15.0))  # that the bias of a gyro may add to it [rad]
+_CALM = 3.0  # acceleration up to which what it tilts is linear [m/s^2]
 _FALLS = 3.0  # mean vertical acceleration that the fixes do not have: no error of an IMU is so large [m/s^2]
 SHARE = 1.0 / 3.0  # of a segment without velocities, at each end, whose positions give its velocity [1]
 
@@ -51,7 +52,9 @@ def align_on_the_move(sensors: SensorData, initial: InitialState) -> tuple[Initi
     edges = np.sort(np.concatenate([t[long], t[long + 1] - sensors.imu.dt[rows[long]]]))
     least = 0.0 if any_way else LEAST_SPEED
     length = min(initial.align_for, max(SHORTEST, LINEAR_TURN / max(specs.imu.gyro.turn_on_bias_sd, 1e-9)))
-    first, last = find_motion(fixes.t[usable], speed, length, edges, least)
+    calm = skip_violent(fixes.t[usable], fixes.vel_n[usable], length) if any_way and by_velocity else 0
+    first, last = find_motion(fixes.t[usable][calm:], speed[calm:], length, edges, least)
+    first, last = first + calm, last + calm
     i, j = usable[first], usable[last]
     ends: tuple[int, ...] = (int(i), int(j)) if by_velocity else quartet(fixes, usable[first : last + 1])
     samples = [int(np.argmin(np.abs(t - fixes.t[k]))) for k in ends]  # next to them
@@ -59,6 +62,7 @@ def align_on_the_move(sensors: SensorData, initial: InitialState) -> tuple[Initi
     stop = min(int(arrival[last]) + 2, len(t) - 1)  # after it has arrived, so that nobody uses it again
     scale = (span / sensors.imu.dt[rows])[:, None]
     dtheta, dvel = sensors.imu.dtheta_b[rows] * scale, sensors.imu.dvel_b[rows] * scale
+    paths = []
     for roll in _ROLLS:
         path = _find_path(
             sensors,
@@ -70,14 +74,15 @@ def align_on_the_move(sensors: SensorData, initial: InitialState) -> tuple[Initi
             roll,
             along=not any_way,
         )
-        if path is not None:
-            break
-    else:
+        paths += [path] if path is not None else []
+        if paths and not any_way:
+            break  # the nose along the course leaves no other
+    if not paths:
         raise EstimatorError(
             f"alignment {name}: no attitude makes the inertial velocity follow the fixes; "
             "do they belong together?"
         )
-    states, F = path
+    states, F, _ = min(paths, key=lambda path: path[2])
     end = states[-1]
     T = float(span[a:b].sum())
 
@@ -171,10 +176,25 @@ def find_motion(
         f"the fastest of {len(t)} fixes has {speed.max():.3g} m/s" if len(t) else "there is no sound fix"
     )
     if least == 0.0:
-        raise EstimatorError(f"alignment motion needs {length:g} s of fixes and IMU samples without a gap")
+        raise EstimatorError(
+            f"alignment motion needs {length:g} s of fixes in calm motion and no gap of the IMU"
+        )
     raise EstimatorError(
         f"alignment course needs {length:g} s of fixes above {least:g} m/s over ground; {fastest}"
     )
+
+
+def skip_violent(t: FloatArray, vel_n: FloatArray, length: float) -> int:
+    """Return the first fix after which the velocity (K, 3) changes little over a length [s]; K if none is.
+
+    The tilt that a force along the ground needs is then small, as `headings.turn_heading` takes it to be, and
+    what falls freely feels nothing that levels it.
+    """
+    end = np.searchsorted(t, t + length - timeline.TIME_TOLERANCE)
+    (inside,) = np.nonzero(end < len(t))
+    gain = np.linalg.norm(vel_n[end[inside]] - vel_n[inside], axis=1) / (t[end[inside]] - t[inside])
+    calm = gain < _CALM
+    return int(inside[np.argmax(calm)]) if calm.any() else len(t)
 
 
 def speeds(fixes: GnssFixes, rows: IntArray) -> FloatArray:
@@ -213,8 +233,10 @@ def _find_path(
     roll: float,
     *,
     along: bool,
-) -> tuple[FloatArray, FloatArray] | None:
-    """Return the strapdown along some fixes that matches their velocity change and final course, and F.
+) -> tuple[FloatArray, FloatArray, float] | None:
+    """Return the strapdown along some fixes that matches their velocity change and final course.
+
+    Also F, and how far the vertical velocity is off, over the time [m/s^2].
 
     Of two fixes the velocities are measured; of four without velocity, next to the IMU ``samples``, it gains
     that by which the mean between the last two exceeds that between the first. Newton's iteration on the
@@ -255,7 +277,7 @@ def _find_path(
         if np.abs(phi).max() < 1e-9:
             states[-1, :3] = earth.displace(lla[-1], -rotation.rotate(end[6:], arm_b))
             states[-1, 3:6] = wanted
-            return (states, F) if abs(e[2]) < _FALLS else None
+            return (states, F, abs(float(e[2]))) if abs(e[2]) < _FALLS else None
     return None
 
 

@@ -8,7 +8,8 @@ import numpy as np
 
 from bench.core.mathematics import earth, rotation
 from bench.core.mathematics.arrays import BoolArray, FloatArray
-from bench.core.records.data import Events, GnssFixes, NavSolution, SensorData, no_innovations
+from bench.core.mathematics.units import STANDARD_GRAVITY
+from bench.core.records.data import Events, GnssFixes, ImuData, NavSolution, SensorData, no_innovations
 from bench.core.records.sensor_specs import GnssSpec
 from bench.navigation.engine import timeline
 from bench.navigation.engine.kept_rows import join_rows, take_rows
@@ -148,6 +149,12 @@ class Coast(SessionState):
             events=Events.from_rows([]),
             **{name: np.tile(getattr(end, name), (m, 1)) for name in _HELD},
         )
+
+
+def violent(imu: ImuData) -> bool:
+    """Return whether a vehicle was pushed by 1 g beyond its weight: its fixes go other ways than usual."""
+    force = np.linalg.norm(imu.dvel_b[imu.valid], axis=1) / imu.dt[imu.valid]
+    return bool((force > 2.0 * STANDARD_GRAVITY).any())
 
 
 def lasts(gnss: GnssSpec, vel_n: FloatArray) -> BoolArray:

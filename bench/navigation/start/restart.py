@@ -21,7 +21,6 @@ from typing import cast
 
 import numpy as np
 
-from bench.core.mathematics import earth
 from bench.core.mathematics.arrays import FloatArray, same_array
 from bench.core.records.data import EventRow, Events, InitialState, NavSolution, SensorData
 from bench.core.words.exceptions import EstimatorError
@@ -46,22 +45,15 @@ from bench.navigation.engine.record_cuts import (
 )
 from bench.navigation.engine.session import Kept, Replaced, SessionState, require
 from bench.navigation.error_state_filter.measurement_rows import POSITION, SENSORS
-from bench.navigation.error_state_filter.rough_heading import UNKNOWN_HEADING_SD
-from bench.navigation.error_state_filter.state_blocks import WIND_SD
 from bench.navigation.error_state_filter.state_processes import assumed
 from bench.navigation.options import FixAccuracy
 from bench.navigation.start import alignment
 from bench.navigation.start.alignment import StartSearch
-from bench.navigation.start.course import LEAST_SPEED
-from bench.navigation.start.fixes_only import Coast, End, fresh_fixes, lost_at
-from bench.navigation.start.headings import LINEAR
+from bench.navigation.start.fixes_only import Coast, End, fresh_fixes, lost_at, violent
 from bench.navigation.start.learnt_biases import UNLEARNT, LearntBiases, learn_biases
+from bench.navigation.start.new_starts import list_starts
 from bench.navigation.start.refused_fixes import SHARE, RefusedFixes
 
-_ALIGN_FOR = 10.0  # of a segment that gives the course, or of a standstill [s]
-_MATCHED_FOR = 2.0  # of a segment whose velocities level the IMU [s]
-_STILL = 0.3  # speed below which an aircraft stood before a gap [m/s]
-_SIGMAS = 5.0  # by which it may seem to have moved in it
 _LONG = 10.0  # piece within which a filter may get lost: a copy of it is kept [s]
 LONGEST_KEPT = 120.0  # of a record that is kept beside such a copy [s]
 
@@ -292,6 +284,8 @@ class BetweenGaps(SessionState):
         assert self.stopped is not None
         assert self.accuracy is not None
         coast = Coast(self.head, lost_at(t, self.stopped), self.names, self.accuracy)
+        if violent(part.imu):
+            coast.go_beyond()
         coast.take(fix.take(np.array([len(fix) - 1])))
         self.pause = _Pause(coast, (t, t), "reset", why, np.empty(0), None, [], [])
         self.watch.forget()
@@ -439,31 +433,6 @@ def between_gaps(
             return begin(first, start, events)
         accuracy = None
     return BetweenGaps(begin, first, start, events, accuracy, whole=whole, readmit_after_s=readmit_after_s)
-
-
-def list_starts(begin: float, coast: Coast) -> list[StartSearch]:
-    """Return the searches for an alignment after a gap that ended at a time [s]: at rest, then moving."""
-    lla, vel_n, cov = coast.at(begin)
-    before, unknown = coast.end, np.full(4, np.nan)
-    speed = float(np.nan_to_num(np.hypot(*vel_n[:2])))  # a filter may have ended without a velocity
-    wide = np.diag(np.full(9, np.inf))
-    drift_sd = float(np.arctan2(WIND_SD, max(speed, LEAST_SPEED)))
-    nothing = InitialState(begin, unknown[:3], unknown[:3], unknown, wide, "course", _ALIGN_FOR)
-    ways = [
-        replace(nothing, drift_sd=drift_sd),
-        replace(nothing, alignment="motion", align_for=_MATCHED_FOR, drift_sd=UNKNOWN_HEADING_SD),
-    ]
-    if drift_sd > LINEAR:
-        ways.reverse()  # the course says no more of the heading than motion will
-    if np.isfinite(lla).all():
-        wide = wide.copy()
-        wide[:3, :3] = cov[:3, :3]
-        moved = np.linalg.norm(earth.difference_n(lla, before.lla)) > _SIGMAS * np.sqrt(np.trace(cov[:3, :3]))
-        if np.linalg.norm(before.vel_n) < _STILL and not moved:  # the nose points where it did
-            unknown, wide[8, 8] = before.q_nb, before.cov[8, 8]
-        at_rest = InitialState(begin, lla, np.full(3, np.nan), unknown, wide, "level", _ALIGN_FOR)
-        ways.insert(0, replace(at_rest, fix_cov=coast.offset[:3]))
-    return [StartSearch(way) for way in ways]
 
 
 def _last_answer(solution: NavSolution) -> End:

@@ -1,0 +1,46 @@
+"""Ways to find an attitude again after a gap or a reset, and the order to try them in."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from bench.core.mathematics import earth
+from bench.core.records.data import InitialState
+from bench.navigation.error_state_filter.rough_heading import UNKNOWN_HEADING_SD
+from bench.navigation.error_state_filter.state_blocks import WIND_SD
+from bench.navigation.start.alignment import StartSearch
+from bench.navigation.start.course import LEAST_SPEED
+from bench.navigation.start.fixes_only import Coast
+from bench.navigation.start.headings import LINEAR
+
+_ALIGN_FOR = 10.0  # of a segment that gives the course, or of a standstill [s]
+_MATCHED_FOR = 2.0  # of a segment whose velocities level the IMU [s]
+_STILL = 0.3  # speed below which an aircraft stood before a gap [m/s]
+_SIGMAS = 5.0  # by which it may seem to have moved in it
+
+
+def list_starts(begin: float, coast: Coast) -> list[StartSearch]:
+    """Return the searches for an alignment after a gap that ended at a time [s]: at rest, then moving."""
+    lla, vel_n, cov = coast.at(begin)
+    before, unknown = coast.end, np.full(4, np.nan)
+    speed = float(np.nan_to_num(np.hypot(*vel_n[:2])))  # a filter may have ended without a velocity
+    wide = np.diag(np.full(9, np.inf))
+    drift_sd = float(np.arctan2(WIND_SD, max(speed, LEAST_SPEED)))
+    nothing = InitialState(begin, unknown[:3], unknown[:3], unknown, wide, "course", _ALIGN_FOR)
+    ways = [
+        replace(nothing, drift_sd=drift_sd),
+        replace(nothing, alignment="motion", align_for=_MATCHED_FOR, drift_sd=UNKNOWN_HEADING_SD),
+    ]
+    if drift_sd > LINEAR:
+        ways.reverse()  # the course says no more of the heading than motion will
+    if np.isfinite(lla).all():
+        wide = wide.copy()
+        wide[:3, :3] = cov[:3, :3]
+        moved = np.linalg.norm(earth.difference_n(lla, before.lla)) > _SIGMAS * np.sqrt(np.trace(cov[:3, :3]))
+        if np.linalg.norm(before.vel_n) < _STILL and not moved:  # the nose points where it did
+            unknown, wide[8, 8] = before.q_nb, before.cov[8, 8]
+        at_rest = InitialState(begin, lla, np.full(3, np.nan), unknown, wide, "level", _ALIGN_FOR)
+        ways.insert(0, replace(at_rest, fix_cov=coast.offset[:3]))
+    return [StartSearch(way) for way in ways]

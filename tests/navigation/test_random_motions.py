@@ -1,0 +1,49 @@
+"""Random motions: a filter is consistent on each kind, and the kinds do what they say."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.builders import band
+from tests.motions import trials
+from tests.motions.truths import RATE, make_truth
+
+SEED = 60
+UNITS = ("adis16495", "hg4930-ca51", "stim300", "vn-100", "icm-42688-p")
+
+
+@pytest.mark.parametrize("kind", trials.KINDS)
+def test_a_kind_is_a_smooth_motion_that_rests_as_it_says(kind):
+    for seed in range(3):
+        motion = trials.KINDS[kind](np.random.default_rng([seed, 1]))
+        truth = make_truth(motion.vel_n, motion.euler)
+        assert 60.0 < truth.t[-1] <= 300.0
+        np.testing.assert_allclose(truth.vel_n, motion.vel_n, atol=1e-3)
+        still = truth.t < motion.rest
+        assert not motion.vel_n[still].any(), motion.rest
+        np.testing.assert_allclose(truth.q_nb[still], truth.q_nb[:1].repeat(still.sum(), 0), atol=1e-7)
+        assert np.linalg.norm(truth.dvel_b, axis=1).max() * RATE < 12 * 9.81
+        assert ("level" in motion.starts) == (motion.rest > 10.0)
+        if "course" in motion.starts:
+            assert np.hypot(*motion.vel_n[truth.t < 20.0, :2].T).min() > 6.0
+
+
+def test_truths_at_rest_feel_the_turn_of_the_earth_and_gravity_alone():
+    truth = make_truth(np.zeros((101, 3)), np.tile([0.1, -0.2, 1.0], (101, 1)))
+    np.testing.assert_allclose(np.linalg.norm(truth.dtheta_b, axis=1) * RATE, 7.292115e-5, rtol=1e-6)
+    np.testing.assert_allclose(np.linalg.norm(truth.dvel_b, axis=1) * RATE, 9.8055, atol=1e-3)
+    np.testing.assert_allclose(truth.lla, np.tile(truth.lla[0], (101, 1)), atol=1e-12)
+
+
+def test_loose_full_is_consistent_on_motions_that_resemble_no_profile():
+    """Errors may last a run: a run counts as one draw of 9 degrees of freedom, 32 of them below 13.2."""
+    found = [
+        one
+        for kind in trials.KINDS
+        for k in range(2)
+        for one in trials.run_trial(kind, k, SEED, ["loose-full"], UNITS)
+    ]
+    assert not [one for one in found if one.lost]
+    mean = np.mean([one.nees for one in found])
+    assert mean < 9.0 * band(9 * len(found))[1], sorted((one.nees, one.kind, one.unit) for one in found)[-4:]
