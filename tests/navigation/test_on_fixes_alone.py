@@ -502,8 +502,9 @@ def test_behind_a_gap_a_standstill_is_looked_for_first_and_keeps_its_heading(spe
     coast.take(fixes_at([6.0], [[0.0] * 3], [0.0] * 3))
     spread = np.sqrt(np.trace(coast.at(7.0)[2][:3, :3]))
     coast.end = coast.end._replace(lla=earth.displace(coast.at(7.0)[0], [moved * spread, 0.0, 0.0]))
-    level, motion, course = (search.initial for search in restart.list_starts(7.0, coast))
+    _, motion = (search.initial for search in restart.list_starts(7.0, coast, any_heading=True))
     assert (motion.alignment, motion.t, motion.align_for) == ("motion", 7.0, 2.0)
+    level, course = (search.initial for search in restart.list_starts(7.0, coast))
     assert (level.alignment, level.t, level.align_for) == ("level", 7.0, 10.0)
     assert_allclose(level.lla, coast.at(7.0)[0])
     assert_allclose(level.cov[:3, :3], coast.at(7.0)[2][:3, :3])
@@ -520,13 +521,13 @@ def test_behind_a_gap_a_standstill_is_looked_for_first_and_keeps_its_heading(spe
 def test_behind_a_gap_a_fast_aircraft_may_have_its_nose_off_its_course_by_the_wind():
     """Its course tells the heading to 15 deg; that of a slower one less than motion will."""
     coast = coasting(ended(vel_n=np.array([30.0, 40.0, 5.0])))
-    _, course, motion = restart.list_starts(6.0, coast)
-    assert course.initial.drift_sd == pytest.approx(np.arctan(state_blocks.WIND_SD / 50.0))
-    assert motion.initial.alignment == "motion"
-    motion, course = restart.list_starts(
-        6.0, coasting(lost_at(5.0, ended()))
-    )  # and of a place that is not known
+    for any_heading in (False, True):
+        _, course = restart.list_starts(6.0, coast, any_heading=any_heading)
+        assert course.initial.drift_sd == pytest.approx(np.arctan(state_blocks.WIND_SD / 50.0))
+    lost = coasting(lost_at(5.0, ended()))  # and of a place that is not known
+    (motion,) = restart.list_starts(6.0, lost, any_heading=True)
     assert motion.initial.drift_sd == rough_heading.UNKNOWN_HEADING_SD
+    (course,) = restart.list_starts(6.0, lost)
     assert course.initial.drift_sd == pytest.approx(np.arctan(state_blocks.WIND_SD / 5.0))
 
 

@@ -49,11 +49,11 @@ def test_a_filter_that_is_lost_starts_anew_and_is_honest(truth, use):
         solution = load(use, {}).run(data, start)
         ((begin, end, text),) = solution.events.select("reset")
         assert 20.0 <= begin <= 25.0
-        assert end <= 36.0
+        assert end <= 28.0
         assert text.startswith(
             "fixes of 75% of 20 s rejected that moved as their velocities: position and velocity"
         )
-        assert "heading by the course of 10 s" in text
+        assert "leveled by the velocity gained in 2 s" in text
         errors = error_series(truth, solution)
         found.append(errors.nees[np.searchsorted(errors.t, JUDGED)])
         between = (errors.t > begin) & (errors.t < end)

@@ -90,20 +90,19 @@ def test_an_event_says_what_was_done(draws):
     assert "imu: gap of 5 s" in [text for *_, text in solution.events.select("timeline")]
     ((t, t_end, text),) = solution.events.select("restart")
     assert t == 60.0
-    assert 75.0 < t_end < 77.0
+    assert 67.0 < t_end < 69.0
     assert (
-        "IMU silent for 5 s: position and velocity by the fixes alone until 76.02 s; heading by the" in text
+        "IMU silent for 5 s: position and velocity by the fixes alone until 68.02 s; leveled by the" in text
     )
 
 
 def test_from_the_instant_it_starts_again_on_the_filter_answers(draws):
     """Before, with an attitude that may be anything usual; no answer lies between both."""
     data = with_gap(draws[0].data, 60.0, 5.0)
-    wanted = 76.02 + np.array([-1.0, -3e-6, 0.0, 0.1])
+    wanted = 68.02 + np.array([-1.0, -3e-6, 0.0, 0.1])
     solution = FILTER.run(replace(data, output_t=np.concatenate([[1.0], wanted])), draws[0].initial)
-    tilt_sd = np.sqrt(solution.cov[1:, 6, 6])
-    assert (tilt_sd[:2] > 0.4).all()
-    assert (tilt_sd[2:] < 0.2).all()
+    held = (solution.q_nb[1:] == solution.q_nb[1]).all(axis=1)
+    assert held.tolist() == [True, True, False, False]
 
 
 def test_a_gap_at_the_end_of_a_range_names_it(draws):
@@ -179,7 +178,7 @@ def test_nothing_after_a_gap_is_known_inside_it(draws):
 
 def test_two_gaps_one_of_them_in_the_alignment_after_the_other(truth, draws):
     """Where a second gap cuts the alignment short, the filter coasts on to the next segment."""
-    data = with_gap(with_gap(draws[0].data, 60.0, 5.0), 70.0, 5.0)
+    data = with_gap(with_gap(draws[0].data, 60.0, 5.0), 66.0, 9.0)
     solution = FILTER.run(data, draws[0].initial)
     first, second = solution.events.select("restart")
     assert "not started again" in first[2]
@@ -351,7 +350,7 @@ def test_a_gap_of_a_consumer_unit_is_honest_in_it_and_after_it(recorded, unit):
         drawn = pipeline.sense(profile, truth, draw)
         solution = load("loose-full", {}).run(drawn.data, drawn.initial)
         ((_, end, text),) = solution.events.select("restart")
-        assert "heading by the course of 10 s" in text
+        assert "leveled by the velocity gained in 2 s" in text
         errors = error_series(truth, solution)
         inside.append(errors.nees[[201, 205, 214]])
         after.append(errors.nees[[int(end) + k for k in (2, 10, 30, 60)]])
@@ -394,7 +393,7 @@ def test_rolls_and_turns_beyond_a_range_are_claimed_as_unknown(recorded, unit):
         found.append(error_series(truth, solution).nees)
     nees = np.mean(found, axis=0)
     assert nees.max() < 30.0
-    assert nees.mean() < 11.0
+    assert nees.mean() < 9 * band(9 * 8)[1]
 
 
 def test_less_its_biases_a_sample_inside_the_range_stays_inside():

@@ -97,6 +97,11 @@ class MayGoAstray(InPieces, Protocol):
         """When GNSS met a moving vehicle whose heading is unknown [s]; None if it did not."""
         ...
 
+    @property
+    def vague(self) -> bool:
+        """Whether the heading is too uncertain for one linear filter."""
+        ...
+
 
 @runtime_checkable
 class RunsInPieces(Protocol):

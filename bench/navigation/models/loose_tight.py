@@ -137,7 +137,7 @@ class Fusion:
         begin: Begin = self._from_large_bias if large else self._from_start
         return between_gaps(
             begin, first, initial, events, options.accuracy,
-            whole=whole, readmit_after_s=None if options.tight else options.readmit_after_s,
+            whole=whole, readmit_after_s=None if options.tight else options.readmit_after_s, any_heading=True,
         )  # fmt: skip
 
     def _from_start(
@@ -322,6 +322,11 @@ class Passage(SessionState):
     def astray(self) -> float | None:
         """When a heading that is unknown began to count [s] (`piecewise.MayGoAstray`)."""
         return self.run.astray
+
+    @property
+    def vague(self) -> bool:
+        """Whether the heading is too uncertain for one linear filter."""
+        return bool(self.run.now.P[8, 8] > headings.LINEAR**2)
 
     def steady_errors(self) -> tuple[FloatArray, FloatArray]:
         """Return the errors (6,) of gyros and accelerometers at the end in level flight, and their sd."""

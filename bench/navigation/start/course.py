@@ -20,9 +20,9 @@ from bench.navigation.start.leveling import WINDOW, Rows, common_variance, mean_
 
 LEAST_SPEED = 5.0  # over ground, for a course [m/s]
 _ROLLS = 0.0, np.pi, 0.5 * np.pi, -0.5 * np.pi  # at the start, until one leads to an attitude [rad]
-SHORTEST = 1.0  # segment [s]
+SHORTEST, POSITIONS = 1.0, 10.0  # segment; one of fixes without velocity, at least [s]
 LINEAR_TURN = float(np.deg2rad(15.0))  # that the bias of a gyro may add to it [rad]
-_CALM = 3.0  # acceleration up to which what it tilts is linear [m/s^2]
+_CALM = 6.0  # acceleration up to which what it tilts is linear [m/s^2]
 _FALLS = 3.0  # mean vertical acceleration that the fixes do not have: no error of an IMU is so large [m/s^2]
 SHARE = 1.0 / 3.0  # of a segment without velocities, at each end, whose positions give its velocity [1]
 
@@ -51,7 +51,8 @@ def align_on_the_move(sensors: SensorData, initial: InitialState) -> tuple[Initi
     long = np.flatnonzero(span - sensors.imu.dt[rows] > timeline.LONGEST_BRIDGE)
     edges = np.sort(np.concatenate([t[long], t[long + 1] - sensors.imu.dt[rows[long]]]))
     least = 0.0 if any_way else LEAST_SPEED
-    length = min(initial.align_for, max(SHORTEST, LINEAR_TURN / max(specs.imu.gyro.turn_on_bias_sd, 1e-9)))
+    length = initial.align_for if by_velocity else max(initial.align_for, POSITIONS)
+    length = min(length, max(SHORTEST, LINEAR_TURN / max(specs.imu.gyro.turn_on_bias_sd, 1e-9)))
     calm = skip_violent(fixes.t[usable], fixes.vel_n[usable], length) if any_way and by_velocity else 0
     first, last = find_motion(fixes.t[usable][calm:], speed[calm:], length, edges, least)
     first, last = first + calm, last + calm
@@ -72,7 +73,7 @@ def align_on_the_move(sensors: SensorData, initial: InitialState) -> tuple[Initi
             dtheta[a:b],
             dvel[a:b],
             roll,
-            along=not any_way,
+            along=bool(speed[last] >= LEAST_SPEED),
         )
         paths += [path] if path is not None else []
         if paths and not any_way:

@@ -113,6 +113,11 @@ class ManyHeadings(SessionState):
         """When a heading that is unknown began to count [s] (`piecewise.MayGoAstray`)."""
         return cast("MayGoAstray", self.members[0 if self.complete else self.best]).astray
 
+    @property
+    def vague(self) -> bool:
+        """Whether the heading is too uncertain for one linear filter."""
+        return cast("MayGoAstray", self.members[0 if self.complete else self.best]).vague
+
     def steady_errors(self) -> tuple[FloatArray, FloatArray]:
         """Return the steady errors of the hypothesis that is the estimate (`piecewise.KnowsImuErrors`)."""
         return cast("KnowsImuErrors", self.members[0 if self.complete else self.best]).steady_errors()

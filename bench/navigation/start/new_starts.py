@@ -1,13 +1,15 @@
-"""Ways to find an attitude again after a gap or a reset, and the order to try them in."""
+"""The pause of a filter after a gap or a reset, and the ways to find an attitude again."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from bench.core.mathematics import earth
-from bench.core.records.data import InitialState
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.records.data import InitialState, SensorData
+from bench.navigation.engine.session import Kept, SessionState
 from bench.navigation.error_state_filter.rough_heading import UNKNOWN_HEADING_SD
 from bench.navigation.error_state_filter.state_blocks import WIND_SD
 from bench.navigation.start.alignment import StartSearch
@@ -21,20 +23,41 @@ _STILL = 0.3  # speed below which an aircraft stood before a gap [m/s]
 _SIGMAS = 5.0  # by which it may seem to have moved in it
 
 
-def list_starts(begin: float, coast: Coast) -> list[StartSearch]:
-    """Return the searches for an alignment after a gap that ended at a time [s]: at rest, then moving."""
+@dataclass
+class Pause(SessionState):
+    """The time from the last sample before a gap, or from divergence, to the restart of the filter."""
+
+    coast: Kept[Coast]
+    silent: Kept[tuple[float, float]]  # [s]
+    kind: Kept[str]  # of the event
+    why_stopped: Kept[str]
+    wanted: Kept[FloatArray]  # answers [s]
+    record: Kept[SensorData | None]  # since the gap, None before its first sample
+    ways: Kept[list[StartSearch]]  # that have not failed
+    why: Kept[list[str]]  # the others did
+
+    def due(self, until: float) -> FloatArray:
+        """Remove and return the output times up to a time [s]."""
+        due = self.wanted <= until
+        found, self.wanted = self.wanted[due], self.wanted[~due]
+        return found
+
+
+def list_starts(begin: float, coast: Coast, *, any_heading: bool = False) -> list[StartSearch]:
+    """Return the searches for an alignment after a gap that ended at a time [s]: at rest, then moving.
+
+    ``any_heading``: the filter starts with an unknown one.
+    """
     lla, vel_n, cov = coast.at(begin)
     before, unknown = coast.end, np.full(4, np.nan)
     speed = float(np.nan_to_num(np.hypot(*vel_n[:2])))  # a filter may have ended without a velocity
     wide = np.diag(np.full(9, np.inf))
     drift_sd = float(np.arctan2(WIND_SD, max(speed, LEAST_SPEED)))
-    nothing = InitialState(begin, unknown[:3], unknown[:3], unknown, wide, "course", _ALIGN_FOR)
     ways = [
-        replace(nothing, drift_sd=drift_sd),
-        replace(nothing, alignment="motion", align_for=_MATCHED_FOR, drift_sd=UNKNOWN_HEADING_SD),
+        InitialState(begin, unknown[:3], unknown[:3], unknown, wide, "course", _ALIGN_FOR, drift_sd=drift_sd)
     ]
-    if drift_sd > LINEAR:
-        ways.reverse()  # the course says no more of the heading than motion will
+    if any_heading and drift_sd > LINEAR:  # the course says no more of the heading than motion will
+        ways = [replace(ways[0], alignment="motion", align_for=_MATCHED_FOR, drift_sd=UNKNOWN_HEADING_SD)]
     if np.isfinite(lla).all():
         wide = wide.copy()
         wide[:3, :3] = cov[:3, :3]

@@ -16,7 +16,7 @@ find a wrong one. Its biases are kept.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import cast
 
 import numpy as np
@@ -26,6 +26,7 @@ from bench.core.records.data import EventRow, Events, InitialState, NavSolution,
 from bench.core.words.exceptions import EstimatorError
 from bench.navigation.engine import timeline
 from bench.navigation.engine.imu_range import count_lost, name_ranges
+from bench.navigation.engine.kept_rows import take_rows
 from bench.navigation.engine.piecewise import (
     InPieces,
     KnowsImuErrors,
@@ -48,36 +49,16 @@ from bench.navigation.error_state_filter.measurement_rows import POSITION, SENSO
 from bench.navigation.error_state_filter.state_processes import assumed
 from bench.navigation.options import FixAccuracy
 from bench.navigation.start import alignment
-from bench.navigation.start.alignment import StartSearch
 from bench.navigation.start.fixes_only import Coast, End, fresh_fixes, lost_at, violent
 from bench.navigation.start.learnt_biases import UNLEARNT, LearntBiases, learn_biases
-from bench.navigation.start.new_starts import list_starts
+from bench.navigation.start.new_starts import Pause, list_starts
 from bench.navigation.start.refused_fixes import SHARE, RefusedFixes
 
+_RECENT = 5.0  # time before a reset whose force tells how the vehicle moves [s]
 _LONG = 10.0  # piece within which a filter may get lost: a copy of it is kept [s]
 LONGEST_KEPT = 120.0  # of a record that is kept beside such a copy [s]
 
 Begin = Callable[[SensorData, InitialState, list[EventRow]], InPieces]
-
-
-@dataclass
-class _Pause(SessionState):
-    """The time from the last sample before a gap, or from divergence, to the restart of the filter."""
-
-    coast: Kept[Coast]
-    silent: Kept[tuple[float, float]]  # [s]
-    kind: Kept[str]  # of the event
-    why_stopped: Kept[str]
-    wanted: Kept[FloatArray]  # answers [s]
-    record: Kept[SensorData | None]  # since the gap, None before its first sample
-    ways: Kept[list[StartSearch]]  # that have not failed
-    why: Kept[list[str]]  # the others did
-
-    def due(self, until: float) -> FloatArray:
-        """Remove and return the output times up to a time [s]."""
-        due = self.wanted <= until
-        found, self.wanted = self.wanted[due], self.wanted[~due]
-        return found
 
 
 class BetweenGaps(SessionState):
@@ -96,6 +77,8 @@ class BetweenGaps(SessionState):
         The filter knows what adds to its biases (``steady_errors``), and ``begin`` takes ``gyro_sd``.
     readmit_after_s : float or None
         Of its gate; None: it is not reset.
+    any_heading : bool
+        It starts with an unknown heading (`headings`).
     """
 
     head: Replaced[SensorData]
@@ -108,7 +91,7 @@ class BetweenGaps(SessionState):
     newest: Kept[float]  # validity of the fixes taken [s]
     stopped: Replaced[End | None]  # before the last gap
     names: Replaced[tuple[str, ...]]  # of the further states
-    pause: Kept[_Pause | None]
+    pause: Kept[Pause | None]
     watch: Kept[RefusedFixes | None]
     filter: Kept[InPieces | None]
     fork: Kept[InPieces | None]  # the filter as it was before the first of some rejections
@@ -125,8 +108,10 @@ class BetweenGaps(SessionState):
         *,
         whole: bool = False,
         readmit_after_s: float | None = None,
+        any_heading: bool = False,
     ) -> None:
         self._begin, self.head, self.accuracy, self.whole = begin, take_head(first), accuracy, whole
+        self.any_heading = any_heading
         self.filter, self.intake = begin(first, start, events), timeline.ImuIntake(start.t)
         self.start, self.biases = start, UNLEARNT
         self.again, self.lost, self.held, self.newest = False, {}, None, -np.inf
@@ -213,12 +198,12 @@ class BetweenGaps(SessionState):
             solution = self._own(self.filter.update(self._less(part), look_back, last=last))
         else:
             solution = self._end_at(part, ended)
-        lost, astray = None, self.filter.astray if isinstance(self.filter, MayGoAstray) else None
-        if self.watch is not None and self.since is not None:
-            lost = self.watch.find(solution.innovations)
-            if lost is not None or astray is not None:
+        if self.watch is not None:
+            astray = self.filter.astray if isinstance(self.filter, MayGoAstray) else None
+            lost = self.watch.find(solution.innovations, astray)
+            if lost is not None and self.since is not None:
                 self.biases = before
-                self._reset(lost, astray, look_back, found, last=last, ended=ended)
+                self._reset(lost, look_back, found, last=last, ended=ended, astray=astray is not None)
                 return
         found.append(solution)
         self._drop_copy(solution)
@@ -234,22 +219,27 @@ class BetweenGaps(SessionState):
         self.filter = None
         return solution if len(wanted) == len(part.output_t) else take_answers(solution, slice(-1))
 
+    @property
+    def _vague(self) -> bool:
+        """Whether the filter may lose its heading soon."""
+        return isinstance(self.filter, MayGoAstray) and self.filter.vague
+
     def _keep_copy(self, part: SensorData) -> None:
         """Copy the filter if it may diverge in a part; if a copy exists, store the part."""
-        if self.accuracy is None:
+        if self.watch is None:
             return
         assert self.filter is not None
-        refused = self.watch is not None and self.watch.any_refused
         if self.since is not None:
             self.since = join_pieces(self.since, part)
-        elif refused or newest_sample(part) - self.filter.end > _LONG:
+        elif self.watch.any_refused or self._vague or newest_sample(part) - self.filter.end > _LONG:
             self.fork, self.since, self.told = self.filter.copy(), part, (-np.inf, -np.inf)
 
     def _drop_copy(self, solution: NavSolution) -> None:
         """Drop the copy if nothing was rejected recently; else remember the solution since the copy."""
         if self.since is None:
             return
-        kept = self.filter is not None and self.watch is not None and self.watch.any_refused
+        assert self.watch is not None
+        kept = self.filter is not None and (self.watch.any_refused or self._vague)
         if not kept or newest_sample(self.since) - self.since.imu.t.min(initial=np.inf) > LONGEST_KEPT:
             self.fork, self.since = None, None
         answered, told = self.told
@@ -257,39 +247,35 @@ class BetweenGaps(SessionState):
 
     def _reset(
         self,
-        lost: float | None,
-        astray: float | None,
+        t: float,
         look_back: float,
         found: list[NavSolution],
         *,
         last: bool,
         ended: float | None,
+        astray: bool,
     ) -> None:
         """End the filter where it has diverged or gone astray [s], go on with fixes alone and the rest."""
         assert self.watch is not None
         assert self.since is not None
-        t = min(time for time in (lost, astray) if time is not None)
-        record, told = self.since, self.told
-        assert record.fixes is not None
-        arrived = record.fixes.take(record.fixes.t_arrival <= t + timeline.TIME_TOLERANCE)
-        fix = fresh_fixes(arrived, -np.inf)[0] if t == astray else self.watch.last(t)
+        record, told, fix = self.since, self.told, self.watch.last(t)
         self.filter, self.fork, self.since = self.fork, None, None
         ahead = record.imu.t > t
         part, before = cut_piece(record, np.flatnonzero(~ahead), -np.inf, t), self.biases
         found.append(take_after(*told, self._end_at(part, t)))
         why = "GNSS shows motion while the heading is unknown"
-        if t != astray:
+        if not astray:
             self.biases = before  # what it has learnt is as wrong as its attitude
             why = f"fixes of {SHARE:.0%} of {self.watch.window:g} s rejected that moved as their velocities"
         assert self.stopped is not None
         assert self.accuracy is not None
         coast = Coast(self.head, lost_at(t, self.stopped), self.names, self.accuracy)
-        if violent(part.imu):
+        if violent(take_rows(part.imu, part.imu.t > t - _RECENT)):
             coast.go_beyond()
-        coast.take(fix.take(np.array([len(fix) - 1])))
-        self.pause = _Pause(coast, (t, t), "reset", why, np.empty(0), None, [], [])
+        coast.take(fix)
+        self.pause = Pause(coast, (t, t), "reset", why, np.empty(0), None, [], [])
         self.watch.forget()
-        self.newest = float(fix.t.max())
+        self.newest = float(fix.t[-1])
         rest = cut_piece(record, np.flatnonzero(ahead), t, np.inf)
         self._take(rest, look_back, found, last=last, ended=ended)
 
@@ -309,7 +295,7 @@ class BetweenGaps(SessionState):
         if self.pause is None:
             assert self.stopped is not None
             coast = Coast(self.head, self.stopped, self.names, self.accuracy)
-            self.pause = _Pause(coast, silent, "", "", np.empty(0), None, [], [])
+            self.pause = Pause(coast, silent, "", "", np.empty(0), None, [], [])
         because = name_ranges(self.lost)
         if because:
             self.pause.coast.go_beyond()
@@ -336,7 +322,7 @@ class BetweenGaps(SessionState):
         stretch = replace(cut_piece(part, slice(None), begin, np.inf), output_t=np.empty(0))
         if pause.record is None:
             found.append(pause.coast.answers(pause.due(begin)))
-            pause.record, pause.ways = stretch, list_starts(begin, pause.coast)
+            pause.record, pause.ways = stretch, list_starts(begin, pause.coast, any_heading=self.any_heading)
         else:
             pause.record = join_pieces(pause.record, stretch)
         start, text = None, ""
@@ -422,6 +408,7 @@ def between_gaps(
     *,
     whole: bool = False,
     readmit_after_s: float | None = None,
+    any_heading: bool = False,
 ) -> InPieces:
     """Return a filter before its first piece that starts again after long gaps, as `BetweenGaps` does.
 
@@ -432,7 +419,10 @@ def between_gaps(
         if accuracy is not None and first.observations is not None:
             return begin(first, start, events)
         accuracy = None
-    return BetweenGaps(begin, first, start, events, accuracy, whole=whole, readmit_after_s=readmit_after_s)
+    return BetweenGaps(
+        begin, first, start, events, accuracy,
+        whole=whole, readmit_after_s=readmit_after_s, any_heading=any_heading,
+    )  # fmt: skip
 
 
 def _last_answer(solution: NavSolution) -> End:

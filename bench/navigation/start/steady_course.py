@@ -111,7 +111,8 @@ class SteadyCourse(SessionState):
         if self.over or fixes is None:
             return nothing
         ends, motion_b, _ = self.detector.take(samples)
-        self.stood, self.rates = np.append(self.stood, ends), np.vstack([self.rates, motion_b[:, :3]])
+        self.stood = np.append(self.stood, ends)
+        self.rates = np.vstack([self.rates, motion_b[:, :3].reshape(len(ends), 3)])
         t, course, speed = _courses(fixes)
         fresh = t > max(self.newest, self.start)
         t, course, speed = t[fresh], course[fresh], speed[fresh]

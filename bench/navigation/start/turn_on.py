@@ -105,6 +105,11 @@ class FromTurnOn(SessionState):
         """When a heading that is unknown began to count [s] (`piecewise.MayGoAstray`)."""
         return cast("MayGoAstray", self.filter).astray
 
+    @property
+    def vague(self) -> bool:
+        """Whether the heading is too uncertain for one linear filter."""
+        return cast("MayGoAstray", self.filter).vague
+
     def steady_errors(self) -> tuple[FloatArray, FloatArray]:
         """Return the steady errors of the filter plus the bias found before (`piecewise.KnowsImuErrors`)."""
         mean, sd = cast("KnowsImuErrors", self.filter).steady_errors()
@@ -244,7 +249,7 @@ def find_turn_on(sensors: SensorData, initial: InitialState, until: float = math
         inside = rows[sensors.imu.t[rows] <= until]
         detector = StandstillDetector(initial.t, spec, gyro_sd=gyro_error_sd(spec, initial))
         ends, motion_b, _ = detector.take(take_rows(sensors.imu, inside))
-        count = standstill.count_steady(motion_b[:, :3], None, spec.gyro)
+        count = standstill.count_steady(motion_b[:, :3].reshape(len(ends), 3), None, spec.gyro)
         ended = bool(moving.any()) or count < len(ends)
         ends, motion_b, span = ends[:count], motion_b[:count], count * standstill.WINDOW
         if span < max(FIRST_LOOK, STANDS * (float(t[-1]) - initial.t)):
