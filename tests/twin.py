@@ -192,6 +192,26 @@ def move_by_motion(F, lla, vel, C, f_b, variance):
     F[3, 8], F[4, 8], F[5, 6], F[5, 7] = -east, north, east, -north
 
 
+def bend_velocity(P, gain):
+    """Second order of a heading of 2 to 30 deg: a velocity gained by it is short by psi^2 / 2 of itself.
+
+    3/4 sd^4 is the mean square of psi^2 / 2; what was gained before is the part of P that goes with psi.
+    """
+    if not np.deg2rad(2.0) ** 2 < P[8, 8] < np.deg2rad(30.0) ** 2:
+        return
+    old = np.array([P[4, 8], -P[3, 8]]) / P[8, 8]
+    new = old + gain[:2]
+    if new @ new > old @ old:
+        P[3:5, 3:5] += 0.75 * P[8, 8] ** 2 * (1 - (old @ old) / (new @ new)) * np.outer(new, new)
+
+
+def turn_tilts(P, drifted):
+    """Turn the tilts by a heading that has drifted by a variance: psi times the tilt, across it."""
+    if drifted > 0.0 and P[8, 8] < np.deg2rad(30.0) ** 2:
+        across = np.array([[0.0, -1.0], [1.0, 0.0]])
+        P[6:8, 6:8] += drifted * across @ P[6:8, 6:8] @ across.T
+
+
 # --- the datasheets -----------------------------------------------------------------------------------
 
 
@@ -532,7 +552,10 @@ def navigate(sensors, initial, gate_probability=1e-5, readmit_after_s=10.0, tigh
                 Phi[clock, clock + 1] = T
                 Q[clock, clock] += walk * T**3 / 3
                 Q[clock, clock + 1] = Q[clock + 1, clock] = walk * T**2 / 2
+            known = kf.P[8, 8]
+            bend_velocity(kf.P, at[2] @ at[3] * T)
             kf.predict(F=Phi, Q=Q)
+            turn_tilts(kf.P, kf.P[8, 8] - known)
         points, aiding.now = [], now
         w_b = dtheta / dt
         slow = may_be_noise(w_b, specs.imu.gyro.random_walk**2 / dt)

@@ -120,11 +120,11 @@ def test_an_estimator_that_cannot_start_on_a_log_has_failed_where_another_can(fo
     options = ["--no-rrd", "-o", str(tmp_path / "out"), "--force", "-e", "loose-15"]
     assert main(["navigate", log, *options, "-e", "gnss-only"]) == 1
     metrics = json.loads((tmp_path / "out/result.json").read_text())["metrics"]
-    assert metrics["loose-15"]["verdict_text"].startswith("loose-15 failed: alignment course needs 600 s")
+    assert metrics["loose-15"]["verdict_text"].startswith("loose-15 failed: alignment course needs 250 s")
     assert metrics["gnss-only"]["converged"]
     capsys.readouterr()
     assert main(["navigate", log, *options]) == 2
-    assert capsys.readouterr().err.startswith("error: filter 'loose-15': alignment course needs 600 s")
+    assert capsys.readouterr().err.startswith("error: filter 'loose-15': alignment course needs 250 s")
 
 
 # --- reading ------------------------------------------------------------------------------------------

@@ -51,7 +51,7 @@ def align_on_the_move(sensors: SensorData, initial: InitialState) -> tuple[Initi
     long = np.flatnonzero(span - sensors.imu.dt[rows] > timeline.LONGEST_BRIDGE)
     edges = np.sort(np.concatenate([t[long], t[long + 1] - sensors.imu.dt[rows[long]]]))
     least = 0.0 if any_way else LEAST_SPEED
-    length = initial.align_for if by_velocity else max(initial.align_for, POSITIONS)
+    length = max(initial.align_for, POSITIONS) if any_way and not by_velocity else initial.align_for
     length = min(length, max(SHORTEST, LINEAR_TURN / max(specs.imu.gyro.turn_on_bias_sd, 1e-9)))
     calm = skip_violent(fixes.t[usable], fixes.vel_n[usable], length) if any_way and by_velocity else 0
     first, last = find_motion(fixes.t[usable][calm:], speed[calm:], length, edges, least)
@@ -136,6 +136,8 @@ def align_on_the_move(sensors: SensorData, initial: InitialState) -> tuple[Initi
     bias_cov[6:, 3:] = -J[:, 5:7] @ C[:2] * common_variance(specs.imu.accel, T)
     bias_cov[6:, :3] = -T / 2 * J[:, 7:] @ C[:2] * common_variance(gyro, T)
     rest = propagate(end[:3], end[3:6], end[6:], span[b:stop], dtheta[b:stop], dvel[b:stop])[-1]
+    if not np.isfinite(cov).all():
+        raise EstimatorError(f"alignment {name}: the datasheets give a covariance that is not finite")
     sd = np.rad2deg(np.sqrt(np.diag(cov)[6:]))
     text = f"leveled by the velocity gained in {T:.3g} s, tilt sd {max(sd[:2]):.2g} deg; heading is unknown"
     if not any_way:
