@@ -217,6 +217,20 @@ def list_pairs(trials: Sequence[Trial]) -> list[str]:
     return lines
 
 
+def write_table(trials: Sequence[Trial]) -> Iterator[str]:
+    """Yield the lines of the table of the guide: a motion each."""
+    yield "| motion | runs | lost | NEES | median | unknown headings within 1.645 sigma |"
+    yield "|---|---|---|---|---|---|"
+    for kind in dict.fromkeys(one.kind for one in trials):
+        own = [one for one in trials if one.kind == kind]
+        nees = np.array([one.nees for one in own if not math.isnan(one.nees)])
+        half = stdtrit(len(nees) - 1, 0.975) * nees.std(ddof=1) / np.sqrt(len(nees))
+        vague, covered = sum(one.vague for one in own), sum(one.covered for one in own)
+        lost = sum(bool(one.lost) for one in own)
+        cells = [kind, str(len(own)), str(lost), f"{nees.mean():.1f} ± {half:.1f}", f"{np.median(nees):.1f}"]
+        yield "| " + " | ".join([*cells, f"{covered / vague:.2f}" if vague else "-"]) + " |"
+
+
 def save(trials: Iterable[Trial], path: Path) -> None:
     """Add trials to a file, a line of JSON each."""
     with path.open("a") as file:

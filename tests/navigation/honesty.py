@@ -351,6 +351,9 @@ def main() -> None:
     given = parser.parse_args()
     if given.table:
         rows = [json.loads(line) for line in given.table.read_text().splitlines()]
+        if "kind" in rows[0]:
+            print("\n".join(trials.write_table(trials.load(given.table))))
+            return
         if all("twin" not in row for row in rows):
             print("\n".join([*write_pools(rows, "unit"), "", *write_pools(rows, "profile")]))
             print(write_measured(row["measured"] for row in rows))
