@@ -99,7 +99,7 @@ def test_one_filter_with_a_wide_heading_is_not_honest(monkeypatch):
     monkeypatch.setattr(headings, "heading_is_unknown", lambda initial: False)
     t, found = squares("loose-15", spec_of("level"), draws=6)
     late = t > REST + 20
-    assert found[:, late, 2].mean() > 10 * 9
+    assert found[:, late, 2].mean() > 9 * band(9 * 6)[1]
 
 
 def test_at_rest_an_arm_tells_no_heading_and_a_compass_does(monkeypatch):
