@@ -34,8 +34,6 @@ KINDS: dict[str, Kind] = {**held.KINDS, **flown.KINDS}
 RECEIVERS = ("l1-code", "zed-f9p", "rtk-fixed")
 VAGUE = float(np.deg2rad(30.0))
 BLOCKS = {"position": slice(0, 3), "velocity": slice(3, 6), "attitude": slice(6, 9), "heading": slice(8, 9)}
-SHARP = (slice(0, 3), slice(3, 6), slice(6, 8), slice(8, 9))
-"""Position, velocity, tilt and heading, whose rms and sigma are compared."""
 _NINETY = 1.645
 
 
@@ -53,8 +51,6 @@ class Trial:
     blocks: dict[str, float]  # NEES of each block over its number of states
     vague: int  # answers with a vague heading
     covered: int  # of them within 1.645 sigma
-    rmse: list[float]  # position [m], velocity [m/s], tilt, heading [rad]
-    sigma: list[float]  # the same as reported
     lost: str  # why it did not converge, or ""
     figures: dict[str, float]
 
@@ -104,8 +100,7 @@ def run_trial(
         try:
             solution = built_in.load(use, {}).run(data, drawn.initial)
         except EstimatorError as error:
-            nan = [math.nan] * 4
-            found.append(Trial(*label, math.nan, {}, 0, 0, nan, nan, str(error), motion.figures))
+            found.append(Trial(*label, math.nan, {}, 0, 0, str(error), motion.figures))
             continue
         errors = error_series(truth, solution)
         found.append(_judge(label, errors, solution, motion.figures))
@@ -132,20 +127,12 @@ def _judge(
         rows = known if name in ("attitude", "heading") else np.ones(len(cov), np.bool_)
         ratio = _squares(error[rows][:, part], cov[rows][:, part, part])
         blocks[name] = float(ratio.mean()) if rows.any() else math.nan
-    tail = slice(len(error) // 2, None)  # sharpness, when what must be found out is mostly found
-    error[:, 8] = heading
-    rmse, sigma = (
-        [float(np.sqrt(squares[tail][:, part].sum(axis=1).mean())) for part in SHARP]
-        for squares in (np.square(error), np.einsum("kii->ki", cov))
-    )
     return Trial(
         *label,
         float(nees[known].mean()) if known.any() else math.nan,
         blocks,
         int(vague.sum()),
         int((np.abs(heading[vague]) < _NINETY * sd[vague]).sum()),
-        rmse,
-        sigma,
         "" if sound else str(why),
         figures,
     )

@@ -342,8 +342,10 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=SEED)
     parser.add_argument("--hz", type=float, default=20.0, help="of the covariance; 0: at every sample")
     parser.add_argument("--twin", action="store_true")
-    parser.add_argument("--motions", type=int, metavar="N", help="random motions of each kind, no profiles")
-    parser.add_argument("--kinds", default="", help="of motions; all by default")
+    parser.add_argument(
+        "--motions", type=int, metavar="N", help="of each kind of motion, instead of profiles"
+    )
+    parser.add_argument("--kinds", default="", help="of --motions; all by default")
     parser.add_argument("-o", "--out", type=Path, help="rows as JSON, one a line")
     parser.add_argument(
         "--table", type=Path, metavar="OUT", help="print rows that were kept, and measure nothing"

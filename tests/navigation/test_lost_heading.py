@@ -79,6 +79,19 @@ def test_gyros_that_stood_keep_their_bias_when_the_vehicle_drives_off():
     assert found.sd < 0.03 * DEG
 
 
+@pytest.mark.parametrize("unit", ["bmi088", "icm-20948"])
+def test_at_rest_a_consumer_unit_keeps_its_heading(unit):
+    """Twelve rests of a minute: none is taken for a turn, which would let the heading go."""
+    n = 60 * round(RATE)
+    truth = make_truth(np.zeros((n + 1, 3)), np.tile([0.02, 0.03, 1.0], (n + 1, 1)))
+    motion = Motion(np.zeros((2, 3)), np.zeros((2, 3)))
+    spec = trials.choose_start(trials.load_sensors(unit, "l1-code"), motion, "given")
+    for run in range(12):
+        drawn = sensors.sense(truth, spec, 3, run)
+        solution = load("loose-full", {}).run(drawn.data, drawn.initial)
+        assert solution.cov[-1, 8, 8] < 1.02 * drawn.initial.cov[8, 8]
+
+
 # --- second order -------------------------------------------------------------------------------------
 
 

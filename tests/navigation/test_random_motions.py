@@ -47,3 +47,36 @@ def test_loose_full_is_consistent_on_motions_that_resemble_no_profile():
     assert not [one for one in found if one.lost]
     mean = np.mean([one.nees for one in found])
     assert mean < 9.0 * band(9 * len(found))[1], sorted((one.nees, one.kind, one.unit) for one in found)[-4:]
+
+
+def trial(kind, unit, number, nees):
+    return trials.Trial(
+        kind,
+        unit,
+        "l1-code",
+        "given",
+        number,
+        "loose-full",
+        nees,
+        dict.fromkeys(trials.BLOCKS, 1.0),
+        0,
+        0,
+        "",
+        {},
+    )
+
+
+@pytest.mark.parametrize("planted", [1.0, 4.0])
+def test_a_pair_of_motion_and_unit_that_stands_out_is_named_and_no_other(planted):
+    """Run averages of 9 states: 20 pairs of ten runs; one of them is four times too large, or none."""
+    random = np.random.default_rng(7)
+    found = [
+        trial(kind, unit, k, random.chisquare(9) * (planted if (kind, unit) == ("tow", "b") else 1.0))
+        for kind in trials.KINDS
+        for unit in "ab"
+        for k in range(10)
+    ]
+    lines = trials.list_pairs(found)
+    assert [line.partition(":")[0] for line in lines] == ["tow, b"] * (planted > 1.0)
+    assert len(list(trials.summarize(found))) == 2 + len(trials.KINDS) + len(lines)
+    assert len(list(trials.write_table(found))) == 2 + len(trials.KINDS)

@@ -242,8 +242,8 @@ class LogAlignmentTable(Table):
     heading: Literal["magnetometer", "autopilot"] | None = None
     """Source of the heading, for "level" and "hover". Default: none; motion finds the heading."""
     duration_s: Annotated[float, between(1, 3600)] | None = None
-    """Longest standstill used, for "level" (default 60); length of the track, for "course" (10), or of
-    steady flight, for "hover" (4)."""
+    """Longest standstill used, for "level" (default 60); length of the track, for "course" (10, less
+    where the turn-on bias of a gyro would turn it by 15 deg), or of steady flight, for "hover" (4)."""
     drift_deg: Annotated[float, between(0, 90)] | None = None
     """Standard deviation of the angle from course to heading, for "course". Default: 2."""
     at_s: Annotated[float, between(0, 86400)] = 0.0

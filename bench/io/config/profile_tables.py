@@ -198,7 +198,8 @@ class AlignmentTable(Table):
     kind: Literal["given", "level", "course"] = "given"
     """Kind of the initial state that the filters get."""
     duration_s: Annotated[float, between(1, 3600)] | None = None
-    """Longest standstill used, for "level" (default 60); length of the track, for "course" (10)."""
+    """Longest standstill used, for "level" (default 60); length of the track, for "course"
+    (10), less where the turn-on bias of a gyro would turn it by 15 deg."""
     drift_deg: Annotated[float, between(0, 90)] | None = None
     """Standard deviation of the angle from course to heading by wind and sideslip, for "course". Default:
     10."""

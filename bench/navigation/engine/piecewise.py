@@ -88,7 +88,6 @@ class KnowsImuErrors(InPieces, Protocol):
         ...
 
 
-@runtime_checkable
 class MayGoAstray(InPieces, Protocol):
     """Filter that is linear in the heading, and notices where that is not enough."""
 

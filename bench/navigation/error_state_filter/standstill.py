@@ -88,7 +88,9 @@ def rate_variance(spec: ImuSpec) -> float:
     return spec.gyro.random_walk**2 / WINDOW + RATE_SD**2
 
 
-def count_steady(rate_b: FloatArray, usual_b: FloatArray | None, gyro: TriadSpec) -> int:
+def count_steady(
+    rate_b: FloatArray, usual_b: FloatArray | None, gyro: TriadSpec, warming: float = 0.0
+) -> int:
     """Return in how many windows from the first on a unit does not turn: its rates add up to no angle.
 
     Parameters
@@ -99,6 +101,8 @@ def count_steady(rate_b: FloatArray, usual_b: FloatArray | None, gyro: TriadSpec
         Mean rate before them; without one, that of the windows before each.
     gyro : TriadSpec
         Noise and instability of the rates.
+    warming : float
+        Sd of what the temperature changes them by meanwhile [rad/s].
     """
     begun = int(usual_b is None and len(rate_b) > 0)  # its rate is that of the first
     k = np.arange(1.0, len(rate_b) + 1.0)[:, None]
@@ -106,7 +110,7 @@ def count_steady(rate_b: FloatArray, usual_b: FloatArray | None, gyro: TriadSpec
     rate_b, k = rate_b[begun:] - before, k[: len(rate_b) - begun]
     angle = np.abs(np.cumsum(rate_b, axis=0)) * WINDOW
     T = k * WINDOW
-    sd = np.sqrt(STILL_SD**2 + 2.0 * T * gyro.random_walk**2 + (T * gyro.instability_sd) ** 2)
+    sd = np.sqrt(STILL_SD**2 + 2.0 * T * gyro.random_walk**2 + T**2 * (gyro.instability_sd**2 + warming**2))
     turns: BoolArray = np.asarray((angle > _TURNS * sd).any(axis=1))
     return begun + (int(np.argmax(turns)) if turns.any() else len(turns))
 

@@ -65,11 +65,11 @@ class RefusedFixes(SessionState):
         """Return whether a position of the last window was rejected."""
         return bool(self._refused.any())
 
-    def find(self, table: Innovations, astray: float | None = None) -> float | None:
+    def find(self, table: Innovations, astray: float | None = None) -> tuple[float, bool] | None:
         """Return the first epoch [s] at which the filter has diverged, by its next innovations.
 
-        ``astray`` is when a heading that is unknown began to count [s]: then, and every few seconds after
-        it, sound fixes are enough.
+        Also whether it has rejected fixes for long. ``astray`` is when a heading that is unknown began to
+        count [s]: then, and every few seconds after it, sound fixes are enough.
         """
         if not len(table):
             return None
@@ -83,21 +83,22 @@ class RefusedFixes(SessionState):
         stood = np.concatenate([self._stood, np.clip(apart, 0.0, self.window / _FEWEST)])
         refused = np.concatenate([self._refused, ~table.accepted[rows]])
         self._begun = min(self._begun, float(t[0]))
-        due = np.zeros(len(t), np.bool_)
+        rejected = np.zeros(len(t), np.bool_)
         if refused[before:].any():
             first = np.searchsorted(t, t - self.window, side="right")
             sums, k = np.concatenate([[0.0], np.cumsum(stood * refused)]), np.arange(len(t))
-            due = sums[k + 1] - sums[first] >= SHARE * self.window - TIME_TOLERANCE
-            due &= refused & (k + 1 - first >= _FEWEST) & (k >= before)
-            due &= t >= self._begun + self.window
+            rejected = sums[k + 1] - sums[first] >= SHARE * self.window - TIME_TOLERANCE
+            rejected &= refused & (k + 1 - first >= _FEWEST) & (k >= before)
+            rejected &= t >= self._begun + self.window
+        due = rejected.copy()
         if astray is not None:
             steps = np.floor((t - astray + TIME_TOLERANCE) / (0.25 * self.window))
             due[before:] |= (np.diff(steps, prepend=-1.0)[before:] > 0) & (steps[before:] >= 0)
-        for now in t[due].tolist():
+        for now, long in zip(t[due].tolist(), rejected[due].tolist(), strict=True):
             if now < self._next:
                 continue
             if self._agree(now):
-                return float(now)
+                return now, long
             self._next = now + 0.25 * self.window
         kept = t > t[-1] - self.window
         self._t, self._stood, self._refused = t[kept], stood[kept], refused[kept]

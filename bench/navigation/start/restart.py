@@ -199,11 +199,11 @@ class BetweenGaps(SessionState):
         else:
             solution = self._end_at(part, ended)
         if self.watch is not None:
-            astray = self.filter.astray if isinstance(self.filter, MayGoAstray) else None
+            astray = None if self.filter is None else cast("MayGoAstray", self.filter).astray
             lost = self.watch.find(solution.innovations, astray)
             if lost is not None and self.since is not None:
                 self.biases = before
-                self._reset(lost, look_back, found, last=last, ended=ended, astray=astray is not None)
+                self._reset(*lost, look_back, found, last=last, ended=ended)
                 return
         found.append(solution)
         self._drop_copy(solution)
@@ -222,7 +222,7 @@ class BetweenGaps(SessionState):
     @property
     def _vague(self) -> bool:
         """Whether the filter may lose its heading soon."""
-        return isinstance(self.filter, MayGoAstray) and self.filter.vague
+        return self.filter is not None and cast("MayGoAstray", self.filter).vague
 
     def _keep_copy(self, part: SensorData) -> None:
         """Copy the filter if it may diverge in a part; if a copy exists, store the part."""
@@ -248,14 +248,17 @@ class BetweenGaps(SessionState):
     def _reset(
         self,
         t: float,
+        rejected: bool,
         look_back: float,
         found: list[NavSolution],
         *,
         last: bool,
         ended: float | None,
-        astray: bool,
     ) -> None:
-        """End the filter where it has diverged or gone astray [s], go on with fixes alone and the rest."""
+        """End the filter at a time [s], go on with fixes alone and process the later record.
+
+        ``rejected``: it has rejected fixes for long; else it has lost its heading alone.
+        """
         assert self.watch is not None
         assert self.since is not None
         record, told, fix = self.since, self.told, self.watch.last(t)
@@ -264,7 +267,7 @@ class BetweenGaps(SessionState):
         part, before = cut_piece(record, np.flatnonzero(~ahead), -np.inf, t), self.biases
         found.append(take_after(*told, self._end_at(part, t)))
         why = "GNSS shows motion while the heading is unknown"
-        if not astray:
+        if rejected:
             self.biases = before  # what it has learnt is as wrong as its attitude
             why = f"fixes of {SHARE:.0%} of {self.watch.window:g} s rejected that moved as their velocities"
         assert self.stopped is not None

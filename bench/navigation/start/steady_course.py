@@ -60,6 +60,15 @@ def gyro_error_sd(spec: ImuSpec, initial: InitialState) -> float:
     return math.hypot(*parts)
 
 
+def warming_sd(span: float, height: FloatArray, spec: ImuSpec, initial: InitialState) -> float:
+    """Return a bound of the bias change due to warming over a span [s] at heights [m], 1 sigma."""
+    begun, ground, lapse, time_constant = thermal_figures(initial.t, float(initial.lla[2]), spec)
+    change = float(np.nanmax(np.abs(ground + lapse * height - begun), initial=0.0))
+    if time_constant > 0.0:
+        change *= -math.expm1(-span / time_constant)
+    return float(spec.gyro.temperature_sd * change)
+
+
 def has_large_bias(sensors: SensorData) -> bool:
     """Return whether gyros lose the heading within ten minutes, and fixes show the course."""
     return bool(sensors.specs.imu.gyro.turn_on_bias_sd >= LARGE and sensors.fixes is not None)
@@ -86,6 +95,7 @@ class SteadyCourse(SessionState):
         self.detector = StandstillDetector(initial.t, imu, gyro_sd=gyro_error_sd(imu, initial))
         self.stood, self.rates, self.usual, self.measured = np.empty(0), np.empty((0, 3)), None, -math.inf
         self.gyro = imu.gyro
+        self.warming = warming_sd(2.0 * INTERVAL, initial.lla[2:], imu, initial)
         self.speed = float(np.nan_to_num(np.hypot(*initial.vel_n[:2])))
         self.moving, self.over, self.steady = False, not steady, steady
 
@@ -139,8 +149,8 @@ class SteadyCourse(SessionState):
             if not self.moving and not self._has_stood(now):
                 t, course, self.over = t[:k], course[:k], True
                 break
-            done = int(np.searchsorted(self.stood, now, "right"))
-            if done:
+            done = 0 if math.isinf(self.measured) else int(np.searchsorted(self.stood, now, "right"))
+            if done:  # as long as the interval that it is held against
                 self.usual = self.rates[:done].mean(axis=0)
             self.stood, self.rates, self.measured = self.stood[done:], self.rates[done:], now
         sd = TURNED_SD if self.moving else STILL_SD
@@ -149,7 +159,7 @@ class SteadyCourse(SessionState):
     def _has_stood(self, now: float) -> bool:
         """Return whether the gyros show a standstill from the last measured angle until a time [s]."""
         count, span = int(np.searchsorted(self.stood, now, "right")), now - self.measured
-        if count_steady(self.rates[:count], self.usual, self.gyro) < count:
+        if count_steady(self.rates[:count], self.usual, self.gyro, self.warming) < count:
             return False
         return math.isinf(span) or count * WINDOW >= STANDS * (span - WINDOW)
 

@@ -20,7 +20,6 @@ import numpy as np
 from bench.core.mathematics import rotation
 from bench.core.mathematics.arrays import FloatArray
 from bench.core.records.data import EventRow, Events, InitialState, NavSolution, SensorData
-from bench.core.records.sensor_specs import ImuSpec
 from bench.navigation.engine import timeline
 from bench.navigation.engine.kept_rows import take_rows
 from bench.navigation.engine.piecewise import (
@@ -39,7 +38,6 @@ from bench.navigation.engine.record_cuts import (
 )
 from bench.navigation.engine.session import Kept, Replaced, SessionState
 from bench.navigation.error_state_filter import standstill
-from bench.navigation.error_state_filter.imu_states import thermal_figures
 from bench.navigation.error_state_filter.standstill import StandstillDetector
 from bench.navigation.start import turning_start
 from bench.navigation.start.course import LEAST_SPEED
@@ -50,6 +48,7 @@ from bench.navigation.start.steady_course import (
     STRAIGHT,
     TURNED_SD,
     gyro_error_sd,
+    warming_sd,
 )
 
 LARGE = float(np.deg2rad(0.3))  # sd of a bias that turns the heading by 18 deg in a minute [rad/s]
@@ -249,7 +248,9 @@ def find_turn_on(sensors: SensorData, initial: InitialState, until: float = math
         inside = rows[sensors.imu.t[rows] <= until]
         detector = StandstillDetector(initial.t, spec, gyro_sd=gyro_error_sd(spec, initial))
         ends, motion_b, _ = detector.take(take_rows(sensors.imu, inside))
-        count = standstill.count_steady(motion_b[:, :3].reshape(len(ends), 3), None, spec.gyro)
+        count = standstill.count_steady(
+            motion_b[:, :3].reshape(len(ends), 3), None, spec.gyro, warming_sd(FIRST, height, spec, initial)
+        )
         ended = bool(moving.any()) or count < len(ends)
         ends, motion_b, span = ends[:count], motion_b[:count], count * standstill.WINDOW
         if span < max(FIRST_LOOK, STANDS * (float(t[-1]) - initial.t)):
@@ -289,12 +290,3 @@ def find_turning(sensors: SensorData, initial: InitialState, until: float, near:
     if found is None or found[1] > before or np.abs(found[0]).max() > MOST * before:
         return None
     return TurnOn(found[0], found[1], until, turning=True)
-
-
-def warming_sd(span: float, height: FloatArray, spec: ImuSpec, initial: InitialState) -> float:
-    """Return a bound of the bias change due to warming over a span [s] at heights [m], 1 sigma."""
-    begun, ground, lapse, time_constant = thermal_figures(initial.t, float(initial.lla[2]), spec)
-    change = float(np.nanmax(np.abs(ground + lapse * height - begun), initial=0.0))
-    if time_constant > 0.0:
-        change *= -math.expm1(-span / time_constant)
-    return float(spec.gyro.temperature_sd * change)
