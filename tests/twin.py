@@ -193,9 +193,9 @@ def move_by_motion(F, lla, vel, C, f_b, variance):
 
 
 def bend_velocity(P, gain):
-    """Second order of a heading of 2 to 30 deg: a velocity gained by it is short by psi^2 / 2 of itself.
+    """Add the second-order error of a velocity gained with a heading sd of 2 to 30 deg: psi^2 / 2 of it.
 
-    3/4 sd^4 is the mean square of psi^2 / 2; what was gained before is the part of P that goes with psi.
+    3/4 sd^4 is the mean square of psi^2 / 2; the velocity gained before follows from P[3:5, 8] / P[8, 8].
     """
     if not np.deg2rad(2.0) ** 2 < P[8, 8] < np.deg2rad(30.0) ** 2:
         return
@@ -206,7 +206,7 @@ def bend_velocity(P, gain):
 
 
 def turn_tilts(P, drifted):
-    """Turn the tilts by a heading that has drifted by a variance: psi times the tilt, across it."""
+    """Add the tilt error by a heading drift of a variance [rad^2]: psi times the tilt, across it."""
     if drifted > 0.0 and P[8, 8] < np.deg2rad(30.0) ** 2:
         across = np.array([[0.0, -1.0], [1.0, 0.0]])
         P[6:8, 6:8] += drifted * across @ P[6:8, 6:8] @ across.T

@@ -1,9 +1,9 @@
-"""Motions of what flies with wings, of aircraft on the ground and of a boat: random parameters.
+"""Motions of fixed-wing aircraft, in the air and on the ground, and of a boat: random parameters.
 
-The ranges are assumed: what such vehicles usually do, and somewhat more; each motion names its own.
+The ranges are assumed: what such vehicles usually do, and somewhat more. Each docstring gives its ranges.
 Wings fly coordinated: the force across the path is lift, so a turn banks by atan(V * rate / g), and the angle
-of attack is that of the lift at this speed. Gusts push the vehicle without turning it, and a jitter of the
-attitude of 0.2 to 2 deg comes on top. The wind comes from anywhere; on the ground it is calm.
+of attack is that of the lift at this speed. Gusts push the vehicle without turning it, and an attitude jitter
+of 0.1 to 2 deg is added. The wind has any direction; on the ground it is calm.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from tests.motions.truths import RATE, Kind, Motion, clock
 
 
 def hand_launch(r: np.random.Generator) -> Motion:
-    """Sway in a hand for 4 to 20 s, half of them walking, be thrown to 8 to 16 m/s in 0.3 to 0.8 s, circle.
+    """Sway in a hand for 4 to 20 s, half of them walking, be thrown to 8 to 16 m/s in 0.3 to 0.8 s, turn.
 
     Hands sway by 0.5 to 4 deg and 2 to 15 cm/s and draw back before the throw; winds are 1 to 6 m/s.
     """
@@ -284,7 +284,7 @@ def tow(r: np.random.Generator) -> Motion:
 def small_plane_in_wind(r: np.random.Generator) -> Motion:
     """Fly circuits and orbits at 12 to 18 m/s through the air, in a wind of 4 to 11 m/s with gusts.
 
-    The nose points off the course by up to 60 deg, and against the wind it hardly moves over the ground.
+    The nose points off the course by up to 66 deg, and against the wind it hardly moves over the ground.
     """
     t, airspeed, start = clock(r.uniform(100.0, 200.0)), r.uniform(12.0, 18.0), draw_course(r)
     (wind, wind_mps), gust = draw_wind(r, 4.0, 11.0), draw_log(r, 0.2, 1.2)

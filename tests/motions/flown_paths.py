@@ -1,4 +1,4 @@
-"""Paths of wings through air that moves, of figures of aerobatics and of aircraft in a queue."""
+"""Paths of fixed-wing aircraft in wind, of aerobatic figures and of aircraft in a queue."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def point(course: FloatArray, climb: FloatArray) -> FloatArray:
 
 
 def draw_course(r: np.random.Generator) -> float:
-    """Return any course [rad]."""
+    """Return a course with a uniform distribution [rad]."""
     return float(r.uniform(0.0, 2.0 * np.pi))
 
 
@@ -31,12 +31,12 @@ def draw_wind(r: np.random.Generator, low: float, high: float) -> tuple[FloatArr
 
 
 def gusts(r: np.random.Generator, t: FloatArray, sd: float) -> FloatArray:
-    """Return what gusts add to a velocity (N, 3) [m/s]."""
+    """Return the velocity (N, 3) of gusts [m/s], 0.6 of the sd vertically."""
     return np.asarray(sd * np.column_stack([share * waves(r, t, 20.0, 3.5, 5) for share in (1.0, 1.0, 0.6)]))
 
 
 def stroke(t: FloatArray, begin: float, seconds: float) -> FloatArray:
-    """Return what rises from 0 to 1, evenly but for soft ends of a quarter each."""
+    """Return values (N,) that rise from 0 to 1: the rate is constant but for a quarter at each end."""
     end = seconds / 4.0
     fine = np.linspace(0.0, seconds, 400)
     push = after(fine, 0.0, end) * (1.0 - after(fine, seconds - end, end))
@@ -95,7 +95,7 @@ def coordinate(
 
 
 def blend(share: FloatArray, before: FloatArray, later: FloatArray) -> FloatArray:
-    """Return attitudes (N, 3) that go from one to another."""
+    """Return attitudes (N, 3) blended from one to another by a share (N,) of 0 to 1."""
     return (1.0 - share)[:, None] * before + share[:, None] * later
 
 

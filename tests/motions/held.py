@@ -1,7 +1,7 @@
 """Motions of what hovers, walks and drives: random parameters, ranges from what such vehicles do.
 
-Multirotors tilt by the horizontal force that they need, 20 to 30 deg at most; walkers take 1.6 to 2.1 steps a
-second; cars in town brake with 1 to 3 m/s^2 and squat by 0.5 to 1 deg for each m/s^2 of braking.
+Multirotors tilt by the horizontal force that they need, most by up to 20 to 40 deg; walkers take 1.6 to 2.1
+steps a second; cars brake with 1 to 5 m/s^2 and dip by 0.15 to 0.4 deg for each m/s^2.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ G = 9.81
 
 
 def draw_log(r: np.random.Generator, low: float, high: float) -> float:
-    """Return a number between two limits, its logarithm uniform."""
+    """Return a log-uniform number between two limits."""
     return float(np.exp(r.uniform(np.log(low), np.log(high))))
 
 
@@ -29,14 +29,14 @@ def waves(
 
 
 def smooth(values: FloatArray, seconds: float) -> FloatArray:
-    """Return values averaged over a window of Hann; it ends where they are constant for as long."""
+    """Return values (N,) averaged over a Hann window of a length [s]; the ends are held beyond the record."""
     width = max(3, round(seconds * RATE))
     kernel = np.hanning(width + 2)[1:-1]
     return np.convolve(np.pad(values, width, "edge"), kernel / kernel.sum(), "same")[width:-width]
 
 
 def after(t: FloatArray, begin: float, seconds: float) -> FloatArray:
-    """Return what rises smoothly from 0 to 1 from a time on [s]."""
+    """Return values (N,) that rise smoothly from 0 to 1 from a time on, in so many seconds."""
     share = np.clip((t - begin) / seconds, 0.0, 1.0)
     return np.asarray(share**3 * (10.0 - 15.0 * share + 6.0 * share**2))
 

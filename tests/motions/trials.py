@@ -1,8 +1,9 @@
-"""Is a filter consistent on motions that nobody chose? Random motions, units, receivers and alignments.
+"""Consistency of a filter on random motions, with random IMUs, receivers and alignments.
 
-Each trial draws all of them from its own seed. NEES is averaged over the answers of a run, and the mean over
-runs judged by the scatter between runs: errors that last a run make its epochs dependent. A heading with a
-sigma above `VAGUE` is not normal; it is left out of NEES, and its share within 1.645 sigma is counted.
+Each trial draws all of them from its own seed. NEES is averaged over the epochs of a run first. The interval
+of the mean over runs follows from the scatter between runs, because errors that last a run make its epochs
+dependent. The error of a heading with a sigma above `VAGUE` is not normal: its epochs are left out of NEES,
+and the fraction of its errors within 1.645 sigma is reported (0.9 if they were normal).
 """
 
 from __future__ import annotations
@@ -49,7 +50,7 @@ class Trial:
     use: str
     nees: float  # mean over the answers, n = 9
     blocks: dict[str, float]  # NEES of each block over its number of states
-    vague: int  # answers with a vague heading
+    vague: int  # epochs with a heading sigma above `VAGUE`
     covered: int  # of them within 1.645 sigma
     lost: str  # why it did not converge, or ""
     figures: dict[str, float]
@@ -113,7 +114,7 @@ def _judge(
     solution: NavSolution,
     figures: dict[str, float],
 ) -> Trial:
-    """Return the figures of a solution."""
+    """Return the trial of a solution."""
     sound, why = check_convergence(errors, solution)
     chosen = errors.t > errors.t[0] + 0.5
     cov, heading = solution.cov[chosen], errors.heading[chosen]
@@ -180,10 +181,9 @@ def _line(kind: str, use: str, own: Sequence[Trial]) -> str:
 
 
 def list_pairs(trials: Sequence[Trial]) -> list[str]:
-    """Return the pairs of motion and unit whose mean NEES is above 9, by Holm's test at 1 % over all pairs.
+    """Return the pairs of motion and unit whose NEES is above the median of all runs, by Holm's test at 1 %.
 
-    One-sided, by Student's t on the logarithms of the runs' means: their scatter is skewed. What a run of a
-    consistent filter has is that of all runs, their median.
+    One-sided, by Student's t on the logarithms of the means of runs, whose distribution is skewed.
     """
     usual = float(np.median(np.log([one.nees for one in trials if one.nees > 0.0])))
     found = []
@@ -206,7 +206,7 @@ def list_pairs(trials: Sequence[Trial]) -> list[str]:
 
 def write_table(trials: Sequence[Trial]) -> Iterator[str]:
     """Yield the lines of the table of the guide: a motion each."""
-    yield "| motion | runs | lost | NEES | median | unknown headings within 1.645 sigma |"
+    yield "| motion | runs | diverged | mean NEES (9) | median | unknown headings within 1.645 sigma |"
     yield "|---|---|---|---|---|---|"
     for kind in dict.fromkeys(one.kind for one in trials):
         own = [one for one in trials if one.kind == kind]

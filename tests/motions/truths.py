@@ -56,7 +56,11 @@ def clock(seconds: float) -> FloatArray:
 def make_truth(
     vel_n: FloatArray, euler: FloatArray, rate: float = RATE, place: tuple[float, float, float] = PLACE
 ) -> Trajectory:
-    """Return the truth of a motion: increments by differences, and what they integrate to."""
+    """Return the truth of a motion of N + 1 epochs: increments from differences, and their strapdown.
+
+    vel_n (N + 1, 3) is in m/s, euler (N + 1, 3) in rad; rate in Hz; place is latitude, longitude [rad] and
+    height [m].
+    """
     dt, start = 1.0 / rate, np.array(place)
     n = len(vel_n) - 1
     q_nb = rotation.from_euler(*euler.T)

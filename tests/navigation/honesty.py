@@ -7,7 +7,7 @@ by `bench.evaluation.ensembles.ensemble_consistency`. Run as a program it prints
     python -m tests.navigation.honesty --profiles survey,static --units adis16475,bmi088 --runs 150 --twin
 
 With ``-o`` it also keeps the rows, and ``--table`` prints the tables of the guide from them. With
-``--motions 100`` it runs so many random motions of each kind (`tests.motions.trials`).
+``--motions 100`` it runs 100 random motions of each kind (`tests.motions.trials`).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A heading that is lost in a hover, its second order, and starts by the velocity gained."""
+"""A heading lost in a hover, second-order terms of a heading error, and leveling by the velocity gained."""
 
 from __future__ import annotations
 
@@ -12,10 +12,14 @@ from bench.core.records.sensor_specs import TriadSpec
 from bench.evaluation.errors.error_series import error_series
 from bench.navigation.built_in import load
 from bench.navigation.error_state_filter import rough_heading
-from bench.navigation.error_state_filter.rough_heading import UNKNOWN_HEADING_SD, blur_kernel, curve_kernel
+from bench.navigation.error_state_filter.rough_heading import (
+    UNKNOWN_HEADING_SD,
+    second_order_tilt_kernel,
+    second_order_velocity_kernel,
+)
 from bench.navigation.error_state_filter.standstill import count_steady
 from bench.navigation.start import alignment, turn_on
-from bench.navigation.start.course import skip_violent
+from bench.navigation.start.course import find_calm
 from bench.navigation.start.headings import turn_heading
 from bench.simulation import sensors
 from tests.builders import band
@@ -33,7 +37,7 @@ GYRO = TriadSpec(random_walk=0.01 * DEG, bias_instability=0.0, bias_correlation=
 
 
 def rates(random, count, turning_from=None, rate=0.0):
-    """Mean rates of windows of a second of a unit with a bias, that turns from a window on."""
+    """Mean rates of one-second windows of a unit with a bias; it turns from one window on."""
     found = 0.5 * DEG + GYRO.random_walk * random.standard_normal((count, 3))
     if turning_from is not None:
         found[turning_from:, 2] += rate
@@ -42,7 +46,7 @@ def rates(random, count, turning_from=None, rate=0.0):
 
 @pytest.mark.parametrize("usual", [None, np.full(3, 0.5 * DEG)])
 def test_what_stands_is_seen_to_stand(usual):
-    """1000 rests of 20 s, three axes: 5 sigma of 60,000 sums are passed by less than one in ten."""
+    """1000 rests of 20 s: 5 sigma of 60,000 sums give a false alarm in 3 % of such tests."""
     random = np.random.default_rng(1)
     assert all(count_steady(rates(random, 20), usual, GYRO) == 20 for _ in range(1000))
 
@@ -64,7 +68,7 @@ def test_no_window_is_steady_of_none():
 
 
 def test_gyros_that_stood_keep_their_bias_when_the_vehicle_drives_off():
-    """At rest for 12 s of the first 20: what they told stays, and is true within its sigma."""
+    """At rest for 12 s of the first 20: the bias measured there is kept, and true within its sigma."""
     t = clock(25.0)
     speed = 3.0 * after(t, 12.0, 3.0)
     truth = make_truth(np.column_stack([speed, 0 * t, 0 * t]), np.zeros((len(t), 3)))
@@ -102,7 +106,7 @@ def test_a_gained_velocity_is_short_by_the_second_order_of_the_heading():
     P[8, 8] = sd**2
     along = np.array([np.cos(course), np.sin(course), 0.0])
     for _ in range(50):
-        curve_kernel(30.0 * along, 1.0 / 50.0, P)
+        second_order_velocity_kernel(30.0 * along, 1.0 / 50.0, P)
         gained = speed * (_ + 1) / 50.0
         P[3, 8] = P[8, 3] = -gained * along[1] * P[8, 8]  # as F does
         P[4, 8] = P[8, 4] = gained * along[0] * P[8, 8]
@@ -117,16 +121,16 @@ def test_a_gained_velocity_is_short_by_the_second_order_of_the_heading():
 def test_a_heading_that_is_known_or_lost_has_no_second_order(sd_deg):
     P = np.zeros((9, 9))
     P[8, 8] = (sd_deg * DEG) ** 2
-    curve_kernel(np.array([5.0, 0.0, 0.0]), 1.0, P)
+    second_order_velocity_kernel(np.array([5.0, 0.0, 0.0]), 1.0, P)
     assert not P[3:5, 3:5].any()
     if sd_deg > 30.0:
         P[6, 6] = 1.0
-        blur_kernel(0.1, P)
+        second_order_tilt_kernel(0.1, P)
         assert P[7, 7] == 0.0
 
 
 def test_a_drift_of_the_heading_turns_the_tilts():
-    """Monte Carlo: what a small turn by a normal angle moves a tilt with a covariance."""
+    """Monte Carlo: the covariance of tilts changed by a small normal rotation."""
     random = np.random.default_rng(5)
     P = np.zeros((9, 9))
     P[6:8, 6:8] = [[4e-4, 1.5e-4], [1.5e-4, 1e-4]]
@@ -135,9 +139,9 @@ def test_a_drift_of_the_heading_turns_the_tilts():
     turn = 5.0 * DEG * random.standard_normal(400_000)
     moved = np.column_stack([-turn * tilts[:, 1], turn * tilts[:, 0]])
     before = P[6:8, 6:8].copy()
-    blur_kernel((5.0 * DEG) ** 2, P)
+    second_order_tilt_kernel((5.0 * DEG) ** 2, P)
     np.testing.assert_allclose(P[6:8, 6:8] - before, np.cov(moved.T), rtol=0.03, atol=2e-8)
-    blur_kernel(-1.0, P)
+    second_order_tilt_kernel(-1.0, P)
     np.testing.assert_allclose(P[6, 7], P[7, 6])
 
 
@@ -145,7 +149,7 @@ def test_a_drift_of_the_heading_turns_the_tilts():
 
 
 def banked(seconds=12.0):
-    """A multirotor that pushes to the east with 2 m/s^2, its nose to the south-west."""
+    """A multirotor that accelerates east with 2 m/s^2, its nose to the south-west."""
     t = clock(seconds)
     vel_n = np.column_stack([0.3 * np.sin(t), 2.0 * t, 0.0 * t])
     return make_truth(vel_n, lean(vel_n, np.full(len(t), -2.2)))
@@ -193,14 +197,14 @@ def test_a_start_in_motion_waits_for_a_calm_segment(fall):
     t = np.arange(0.0, 12.0, 0.2)
     vel_n = np.zeros((len(t), 3))
     vel_n[:, 2 if fall else 0] = 9.8 * np.minimum(t, 5.0)
-    first = skip_violent(t, vel_n, 2.0)
+    first = find_calm(t, vel_n, 2.0)
     assert 3.6 <= t[first] <= 4.2  # 6 m/s^2 of the 9.8 over two seconds
     vel_n[:, 0] += 7.0 * t
-    assert skip_violent(t, vel_n, 2.0) == len(t)
+    assert find_calm(t, vel_n, 2.0) == len(t)
 
 
 def test_a_heading_lost_in_a_hover_is_found_again_in_motion():
-    """A consumer gyro loses it within seconds; a unit that keeps it is left alone."""
+    """A consumer gyro loses it within seconds; with a gyro that keeps it, there is no reset."""
     truth = hovering(90.0, RATE, still_s=36.0, turn_deg_s=1.0)
     for unit in ("mpu-6050", "adis16495"):
         spec = trials.choose_start(

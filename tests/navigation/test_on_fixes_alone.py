@@ -520,7 +520,7 @@ def test_behind_a_gap_a_standstill_is_looked_for_first_and_keeps_its_heading(spe
 
 
 def test_behind_a_gap_a_fast_aircraft_may_have_its_nose_off_its_course_by_the_wind():
-    """Its course tells the heading to 15 deg; that of a slower one less than motion will."""
+    """Its course gives the heading within 15 deg; a slower aircraft aligns in motion instead."""
     coast = coasting(ended(vel_n=np.array([30.0, 40.0, 5.0])))
     for any_heading in (False, True):
         _, course = restart.list_starts(6.0, coast, any_heading=any_heading)

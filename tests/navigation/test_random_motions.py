@@ -1,4 +1,4 @@
-"""Random motions: a filter is consistent on each kind, and the kinds do what they say."""
+"""Random motions: a filter is consistent on them, and each kind moves as its docstring says."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def test_truths_at_rest_feel_the_turn_of_the_earth_and_gravity_alone():
 
 
 def test_loose_full_is_consistent_on_motions_that_resemble_no_profile():
-    """Errors may last a run: a run counts as one draw of 9 degrees of freedom, 32 of them below 13.2."""
+    """Errors may last a run, so each of the 32 runs counts as one sample of 9 degrees of freedom."""
     found = [
         one
         for kind in trials.KINDS

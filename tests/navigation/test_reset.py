@@ -51,7 +51,7 @@ def test_a_filter_that_is_lost_starts_anew_and_is_honest(truth, use):
         assert 20.0 <= begin <= 25.0
         assert end <= 28.0
         assert text.startswith(
-            "fixes of 75% of 20 s rejected that moved as their velocities: position and velocity"
+            "fixes rejected for 75% of 20 s that agree with their velocities: position and velocity"
         )
         assert "leveled by the velocity gained in 2 s" in text
         errors = error_series(truth, solution)

@@ -314,11 +314,12 @@ class InitialState(Rebuilt):
     cov : ndarray, (9, 9)
         Covariance of the errors (pos_n [m], vel_n [m/s], phi_n [rad]).
     alignment : {"given", "level", "course", "motion"}
-        What is given: everything; the position at standstill; nothing.
+        What is given: everything; the position at standstill; nothing. "motion" is "course" of any heading.
     align_for : float
-        "level": longest standstill used; "course", "motion": length of the alignment [s].
+        "level": longest standstill used; "course", "motion": longest segment used [s].
     drift_sd : float
-        "course": sigma of the angle between course and nose, from wind and sideslip [rad].
+        "course": sigma of the angle between course and nose, from wind and sideslip; "motion": of the
+        heading [rad].
     bias_cov : ndarray, (9, 6)
         Covariance of these errors with gyro [rad/s] and accelerometer [m/s^2] bias errors, b.
     fix_cov : ndarray, (3,)

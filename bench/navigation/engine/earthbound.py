@@ -15,7 +15,7 @@ HIGHEST, FASTEST = 1e7, 1e5
 class Earthbound(SessionState):
     """Blanks the solution from the first impossible state on, in all pieces of a record."""
 
-    left: Kept[float]  # time of that answer [s]
+    left: Kept[float]  # time of the first impossible state [s]; inf before
 
     def __init__(self) -> None:
         self.left = np.inf
@@ -23,10 +23,24 @@ class Earthbound(SessionState):
     def end_answers(
         self, t: FloatArray, state: FloatArray, *others: FloatArray, every: bool = False
     ) -> list[EventRow]:
-        """Blank states (M, 6 or more: latitude, longitude, height, velocity) and others (M, ...) in place.
+        """Set all rows from the first impossible one on to NaN, in place; return the event of this end.
 
-        The first of the others may be their covariance (M, n, n). A row that is NaN throughout is no answer,
-        unless ``every`` row is one. Returns an event where the filter ends.
+        Parameters
+        ----------
+        t : (M,) array
+            Epochs [s].
+        state : (M, 6 or more) array
+            Latitude, longitude [rad], height [m] and velocity [m/s]. They must be finite.
+        *others : (M, ...) arrays
+            Set to NaN with the state. If the first is a covariance (M, n, n) with n of at least 6, its
+            first six variances must be finite and above 0.
+        every : bool
+            If False, a row whose six values are all NaN is an epoch without a solution and ends nothing.
+
+        Returns
+        -------
+        events : list
+            One "ended" event; empty if no row is impossible or the filter has ended before.
         """
         events = list[EventRow]()
         height, speed = np.abs(state[:, 2]), np.abs(state[:, 3:6]).max(axis=1, initial=0.0)

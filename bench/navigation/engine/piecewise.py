@@ -88,17 +88,17 @@ class KnowsImuErrors(InPieces, Protocol):
         ...
 
 
-class MayGoAstray(InPieces, Protocol):
-    """Filter that is linear in the heading, and notices where that is not enough."""
+class MayLoseHeading(InPieces, Protocol):
+    """Filter with a linear heading error that detects when this error is too large."""
 
     @property
-    def astray(self) -> float | None:
-        """When GNSS met a moving vehicle whose heading is unknown [s]; None if it did not."""
+    def heading_lost_at(self) -> float | None:
+        """Time of the first GNSS measurement in motion with an unknown heading [s]; None before it."""
         ...
 
     @property
-    def vague(self) -> bool:
-        """Whether the heading is too uncertain for one linear filter."""
+    def heading_vague(self) -> bool:
+        """Whether the heading is too uncertain for one linear filter, and may be lost soon."""
         ...
 
 

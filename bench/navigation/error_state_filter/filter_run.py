@@ -51,7 +51,7 @@ from bench.navigation.error_state_filter.ranges.ranging import (
     renew_kernel,
 )
 from bench.navigation.error_state_filter.ranges.satellite_states import Channels, narrow, widen
-from bench.navigation.error_state_filter.rough_heading import add_arm, astray_kernel
+from bench.navigation.error_state_filter.rough_heading import add_arm, heading_lost_kernel
 from bench.navigation.error_state_filter.schedule import Schedule
 from bench.navigation.error_state_filter.state_blocks import (
     Process,
@@ -186,8 +186,12 @@ def fusion_kernel(
             if action != MEASURE:
                 made = pending.live[slot]
                 pending.live[slot] = 0
-                if kind <= SATELLITE_ROWS and carried.astray[0] == 0.0 and astray_kernel(now.state, now.P):
-                    carried.astray[0] = t
+                if (
+                    kind <= SATELLITE_ROWS
+                    and carried.heading_lost[0] == 0.0
+                    and heading_lost_kernel(now.state, now.P)
+                ):
+                    carried.heading_lost[0] = t
                 use_kernel(t, first, made, now, before, pending, gate, log, update)
             e += 1
         if keep:
@@ -263,10 +267,10 @@ class ForwardRun(SessionState):
         return float(self.work.carried.known[0])
 
     @property
-    def astray(self) -> float | None:
-        """When GNSS met a moving vehicle whose heading is unknown [s]; None if it did not."""
+    def heading_lost_at(self) -> float | None:
+        """Time of the first GNSS measurement in motion with an unknown heading [s]; None before it."""
         self.work.carried.whole[:] = self.carried
-        return float(self.work.carried.astray[0]) or None
+        return float(self.work.carried.heading_lost[0]) or None
 
     def check(self) -> None:
         """Check the data that the filter kernel reads."""

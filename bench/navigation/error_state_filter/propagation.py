@@ -34,8 +34,8 @@ from bench.navigation.error_state_filter.error_state import (
     transition_kernel,
 )
 from bench.navigation.error_state_filter.rough_heading import (
-    blur_kernel,
-    curve_kernel,
+    second_order_tilt_kernel,
+    second_order_velocity_kernel,
     stand_kernel,
     steady_kernel,
 )
@@ -128,8 +128,8 @@ class Carried(NamedTuple):
     known: FloatArray
     lost: FloatArray  # (2,) variance of velocity and attitude that a gap adds to a step of the covariance
     elapsed: FloatArray  # (1,) since the last step of the covariance [s]
-    # (1,) when GNSS met a moving vehicle whose heading is unknown [s]; 0 if it did not
-    astray: FloatArray
+    # (1,) first GNSS measurement of a moving vehicle with an unknown heading [s]; 0 before it
+    heading_lost: FloatArray
     factor: FloatArray  # (D,) mean of what a drive multiplies its state by, over that step
 
 
@@ -405,7 +405,7 @@ def advance_kernel(
             state[i + 1] *= decay[i]
         dynamics_kernel(reference, C_mean, dv_sum, F)
         steady_kernel(reference, dv_sum, process.q[VEL] / T, F)
-        curve_kernel(dv_sum, T, P)
+        second_order_velocity_kernel(dv_sum, T, P)
         lost_heading = stand_kernel(state, T, P, F, noise)
         transition_kernel(F, T, G)
         if clock >= 0:
@@ -413,7 +413,7 @@ def advance_kernel(
             clock_kernel(P, clock, T)
         known_heading = P[8, 8]
         covariance_kernel(P, G, decay, noise, fading, drives, factor, memory)
-        blur_kernel(P[8, 8] - known_heading, P)
+        second_order_tilt_kernel(P[8, 8] - known_heading, P)
         if clock >= 0:
             together = 0.5 * process.q[clock + 1] * T * T
             P[clock, clock + 1] += together

@@ -17,7 +17,7 @@ from bench.core.mathematics.earth import EARTH_RATE, radii_kernel
 WIDE = float(np.deg2rad(30.0))  # sd of a heading from which on one linear filter is not enough [rad]
 UNKNOWN_HEADING_SD = float(np.pi / np.sqrt(3.0))  # a heading anywhere from -180 to 180 deg [rad]
 _ROUGH = 0.05  # sd from which on motion that may be none does not tell it [rad]
-_CURVED = float(np.deg2rad(2.0))  # sd of a heading from which on its second order counts [rad]
+_CURVED = float(np.deg2rad(2.0))  # sd of a heading from which on second-order terms are added [rad]
 _SIGMAS = 3.0  # a velocity within these of zero may be none
 _NOISE_SIGMAS = 3.0  # a force within these of a steady flight's may be noise
 _VEL_SD = 1.0  # a velocity known worse than this tells nothing of standing [m/s]
@@ -71,11 +71,14 @@ def steady_kernel(nav: FloatArray, f_n: FloatArray, variance: float, F: FloatArr
 
 
 @kernel
-def curve_kernel(f_n: FloatArray, T: float, P: FloatArray) -> None:
-    """Add to P what a force f_n (3,) [m/s^2], n, over T [s] does to a velocity along itself: second order.
+def second_order_velocity_kernel(f_n: FloatArray, T: float, P: FloatArray) -> None:
+    """Add to P (n, n) the second-order velocity error by an uncertain heading, for a force over a step.
 
-    With an error psi of the heading, a gained velocity v is psi v off across and psi^2 v / 2 short along it;
-    the mean square of that is 3/4 sd^4 v^2. The linear model says what v is: by its part that goes with psi.
+    With a heading error psi, a velocity v gained by a force is wrong by psi v across itself and by
+    -psi^2 v / 2 along itself; the mean square of the latter is 3/4 sd^4 v^2. The kernel takes v from P: its
+    covariance of velocity and heading over the variance of the heading.
+
+    f_n (3,) is the mean specific force of the step [m/s^2], frame n; T its length [s].
     """
     if not _CURVED**2 < P[8, 8] < WIDE**2:
         return
@@ -92,11 +95,13 @@ def curve_kernel(f_n: FloatArray, T: float, P: FloatArray) -> None:
 
 
 @kernel
-def blur_kernel(more: float, P: FloatArray) -> None:
-    """Add to P what a heading that has drifted by a variance ``more`` does to the tilts: second order.
+def second_order_tilt_kernel(more: float, P: FloatArray) -> None:
+    """Add to P (n, n) the second-order tilt error by a drift of the heading in a step.
 
-    A tilt that hides a bias of an accelerometer turns with the unit. The filter turns the biases with its own
-    heading and holds the tilts: by a drift psi, which nobody flew, they come apart by psi times the tilt.
+    A tilt that compensates an accelerometer bias turns with the IMU. The filter turns the bias with its
+    estimated heading and holds the tilt in n, so a heading drift psi separates them by psi times the tilt.
+
+    ``more`` is the increase of the heading variance in the step [rad^2].
     """
     if more > 0.0 and P[8, 8] < WIDE**2:
         north, east, both = P[6, 6], P[7, 7], P[6, 7]
@@ -134,8 +139,8 @@ def stand_kernel(state: FloatArray, T: float, P: FloatArray, F: FloatArray, nois
 
 
 @inner
-def astray_kernel(state: FloatArray, P: FloatArray) -> bool:
-    """Return whether the heading is unknown and the vehicle moves: a linear filter finds a wrong one."""
+def heading_lost_kernel(state: FloatArray, P: FloatArray) -> bool:
+    """Return whether the heading is unknown and the vehicle moves: a linear filter may find a wrong one."""
     return bool(P[8, 8] > WIDE**2 and not _stands_kernel(state, P))
 
 

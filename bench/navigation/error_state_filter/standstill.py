@@ -22,8 +22,8 @@ _NOISY = 1.5  # sd of the samples over that of their noise: 200 samples stay bel
 _FEWEST = 4  # samples that tell their noise
 _SWINGS = 0.3  # change of the mean between halves of a window over the sd of what shakes on the ground
 _SIGMAS = 4.0  # of the biases, granted to the means
-STILL_SD = float(np.deg2rad(0.1))  # of the change of an angle at rest, with the Earth's turn [rad]
-_TURNS = 5.0  # of these sigmas: it has turned
+STILL_SD = float(np.deg2rad(0.1))  # of the change of an angle at rest, with the Earth's rotation [rad]
+_TURNS = 5.0  # sigmas of an angle beyond which the unit has turned
 _GRAVITY_SPREAD = 0.06  # normal gravity between equator, poles and 12 km [m/s^2]
 
 
@@ -91,18 +91,25 @@ def rate_variance(spec: ImuSpec) -> float:
 def count_steady(
     rate_b: FloatArray, usual_b: FloatArray | None, gyro: TriadSpec, warming: float = 0.0
 ) -> int:
-    """Return in how many windows from the first on a unit does not turn: its rates add up to no angle.
+    """Return the number of windows from the first on before the unit turns.
+
+    It has turned if its rates, less the usual rate, integrate to an angle beyond their noise on some axis.
 
     Parameters
     ----------
     rate_b : (W, 3) array
-        Mean rates of windows of a standstill, in order [rad/s].
-    usual_b : (3,) array, optional
-        Mean rate before them; without one, that of the windows before each.
+        Mean rates of consecutive windows of a standstill, each `WINDOW` long [rad/s].
+    usual_b : (3,) array or None
+        Mean rate at rest before them [rad/s]. None: for each window, the mean of the windows before it.
     gyro : TriadSpec
-        Noise and instability of the rates.
+        Random walk and bias instability of the rates.
     warming : float
-        Sd of what the temperature changes them by meanwhile [rad/s].
+        Sd of the change of the rates by temperature between these windows and those before [rad/s].
+
+    Returns
+    -------
+    count : int
+        0 to W; with ``usual_b`` of None, the first window counts always.
     """
     begun = int(usual_b is None and len(rate_b) > 0)  # its rate is that of the first
     k = np.arange(1.0, len(rate_b) + 1.0)[:, None]

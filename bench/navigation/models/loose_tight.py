@@ -319,13 +319,13 @@ class Passage(SessionState):
         return answer_now(self, head)
 
     @property
-    def astray(self) -> float | None:
-        """When a heading that is unknown began to count [s] (`piecewise.MayGoAstray`)."""
-        return self.run.astray
+    def heading_lost_at(self) -> float | None:
+        """Time of the first motion without a heading [s], or None (`piecewise.MayLoseHeading`)."""
+        return self.run.heading_lost_at
 
     @property
-    def vague(self) -> bool:
-        """Whether the heading is too uncertain for one linear filter."""
+    def heading_vague(self) -> bool:
+        """Whether the sigma of the heading is above `headings.LINEAR`."""
         return bool(self.run.now.P[8, 8] > headings.LINEAR**2)
 
     def steady_errors(self) -> tuple[FloatArray, FloatArray]:

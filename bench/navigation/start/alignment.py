@@ -12,8 +12,9 @@ with F the mean specific force in n and e the error of the gain over its time,
 
     phi_E = (e_N + phi_D F_E) / F_D      phi_N = (phi_D F_N - e_E) / F_D
 
-``motion`` is the same over a few seconds at any speed, the nose north with a sd of UNKNOWN: what the heading
-may be is left to `headings`, whose hypotheses tilt with it.
+``motion``, for restarts, does the same over a few seconds at any speed. Its heading is unknown: it is the
+course, or north below 5 m/s, with a sd of `UNKNOWN_HEADING_SD`. `headings` tries all headings; its hypotheses
+turn the tilt with the heading by the covariance of both.
 
 The covariances hold the biases, noise and misalignments of the datasheet; ``bias_cov`` is the covariance of
 attitude and biases. Without it the filter treats tilt and accelerometer bias as independent, and halves the

@@ -19,16 +19,20 @@ from bench.navigation.mechanization import propagate
 from bench.navigation.start.leveling import WINDOW, Rows, common_variance, mean_sd, rate_sd
 
 LEAST_SPEED = 5.0  # over ground, for a course [m/s]
-_ROLLS = 0.0, np.pi, 0.5 * np.pi, -0.5 * np.pi  # at the start, until one leads to an attitude [rad]
-SHORTEST, POSITIONS = 1.0, 10.0  # segment; one of fixes without velocity, at least [s]
-LINEAR_TURN = float(np.deg2rad(15.0))  # that the bias of a gyro may add to it [rad]
-_CALM = 6.0  # acceleration up to which what it tilts is linear [m/s^2]
+_ROLLS = 0.0, np.pi, 0.5 * np.pi, -0.5 * np.pi  # first guesses of the roll at the start [rad]
+POSITIONS = 10.0  # least length of a segment whose fixes have no velocity, for "motion" [s]
+SHORTEST = 1.0  # the gyro bias shortens no segment below this [s]
+LINEAR_TURN = float(np.deg2rad(15.0))  # largest angle by the turn-on bias of a gyro in a segment [rad]
+_CALM = 6.0  # largest acceleration of a calm segment: the tilt that it needs is nearly linear [m/s^2]
 _FALLS = 3.0  # mean vertical acceleration that the fixes do not have: no error of an IMU is so large [m/s^2]
 SHARE = 1.0 / 3.0  # of a segment without velocities, at each end, whose positions give its velocity [1]
 
 
 def align_on_the_move(sensors: SensorData, initial: InitialState) -> tuple[InitialState, Rows]:
-    """Return the state at the end of a course, and what was done (`alignment.complete`)."""
+    """Return the state at the end of a segment in motion, and its event ("course" and "motion", `alignment`).
+
+    Raises EstimatorError if the record has no such segment, or no attitude follows its fixes.
+    """
     fixes, specs = sensors.fixes, sensors.specs
     name, any_way = initial.alignment, initial.alignment == "motion"
     if fixes is None:
@@ -53,7 +57,7 @@ def align_on_the_move(sensors: SensorData, initial: InitialState) -> tuple[Initi
     least = 0.0 if any_way else LEAST_SPEED
     length = max(initial.align_for, POSITIONS) if any_way and not by_velocity else initial.align_for
     length = min(length, max(SHORTEST, LINEAR_TURN / max(specs.imu.gyro.turn_on_bias_sd, 1e-9)))
-    calm = skip_violent(fixes.t[usable], fixes.vel_n[usable], length) if any_way and by_velocity else 0
+    calm = find_calm(fixes.t[usable], fixes.vel_n[usable], length) if any_way and by_velocity else 0
     first, last = find_motion(fixes.t[usable][calm:], speed[calm:], length, edges, least)
     first, last = first + calm, last + calm
     i, j = usable[first], usable[last]
@@ -77,7 +81,7 @@ def align_on_the_move(sensors: SensorData, initial: InitialState) -> tuple[Initi
         )
         paths += [path] if path is not None else []
         if paths and not any_way:
-            break  # the nose along the course leaves no other
+            break  # with the heading of the course, no other attitude fits
     if not paths:
         raise EstimatorError(
             f"alignment {name}: no attitude makes the inertial velocity follow the fixes; "
@@ -137,14 +141,8 @@ def align_on_the_move(sensors: SensorData, initial: InitialState) -> tuple[Initi
     bias_cov[6:, :3] = -T / 2 * J[:, 7:] @ C[:2] * common_variance(gyro, T)
     rest = propagate(end[:3], end[3:6], end[6:], span[b:stop], dtheta[b:stop], dvel[b:stop])[-1]
     if not np.isfinite(cov).all():
-        raise EstimatorError(f"alignment {name}: the datasheets give a covariance that is not finite")
-    sd = np.rad2deg(np.sqrt(np.diag(cov)[6:]))
-    text = f"leveled by the velocity gained in {T:.3g} s, tilt sd {max(sd[:2]):.2g} deg; heading is unknown"
-    if not any_way:
-        text = (
-            f"heading by the course of {T:.3g} s at {speed:.3g} m/s, sd {sd[2]:.2g} deg, "
-            f"{np.rad2deg(initial.drift_sd):.2g} deg of it wind and sideslip; tilt sd {max(sd[:2]):.2g} deg"
-        )
+        raise EstimatorError(f"alignment {name}: the covariance by the datasheets is not finite")
+    text = _describe(initial, cov[6:, 6:], T, speed)
     found = replace(
         initial,
         t=float(t[stop]),
@@ -159,13 +157,42 @@ def align_on_the_move(sensors: SensorData, initial: InitialState) -> tuple[Initi
     return found, [(float(fixes.t[i]), found.t, "alignment", text)]
 
 
+def _describe(initial: InitialState, cov: FloatArray, T: float, speed: float) -> str:
+    """Return the text of the event, with the sigmas of an attitude of covariance (3, 3)."""
+    if initial.alignment == "motion":
+        given_heading = cov[:2, :2] - np.outer(cov[:2, 2], cov[2, :2]) / cov[2, 2]
+        sd_deg = np.rad2deg(np.sqrt(np.diag(given_heading).max()))
+        return (
+            f"leveled by the velocity gained in {T:.3g} s, tilt sd {sd_deg:.2g} deg at a given heading; "
+            "heading is unknown"
+        )
+    sd = np.rad2deg(np.sqrt(np.diag(cov)))
+    return (
+        f"heading by the course of {T:.3g} s at {speed:.3g} m/s, sd {sd[2]:.2g} deg, "
+        f"{np.rad2deg(initial.drift_sd):.2g} deg of it wind and sideslip; tilt sd {max(sd[:2]):.2g} deg"
+    )
+
+
 def find_motion(
     t: FloatArray, speed: FloatArray, length: float, edges: FloatArray, least: float = LEAST_SPEED
 ) -> tuple[int, int]:
     """Return the first and last fix of the first segment of a length [s] with motion throughout.
 
-    The speed is ``least`` [m/s] or more; ``edges`` are where long gaps of the IMU begin and end: no segment
-    reaches over one.
+    Parameters
+    ----------
+    t, speed : (K,) arrays
+        Validity of the fixes [s] and their speed over ground [m/s].
+    length : float
+        Least length of the segment [s].
+    edges : (E,) array
+        Beginnings and ends of long gaps of the IMU [s]: no segment contains one.
+    least : float
+        Least speed of each fix [m/s]; 0 for alignment "motion".
+
+    Raises
+    ------
+    EstimatorError
+        If there is no such segment.
     """
     start, passed = 0, np.searchsorted(edges, t)
     for k in range(len(t)):
@@ -180,18 +207,20 @@ def find_motion(
     )
     if least == 0.0:
         raise EstimatorError(
-            f"alignment motion needs {length:g} s of fixes in calm motion and no gap of the IMU"
+            f"alignment motion needs {length:.3g} s of fixes below {_CALM:g} m/s^2 without a gap of the IMU"
         )
     raise EstimatorError(
         f"alignment course needs {length:g} s of fixes above {least:g} m/s over ground; {fastest}"
     )
 
 
-def skip_violent(t: FloatArray, vel_n: FloatArray, length: float) -> int:
-    """Return the first fix after which the velocity (K, 3) changes little over a length [s]; K if none is.
+def find_calm(t: FloatArray, vel_n: FloatArray, length: float) -> int:
+    """Return the index of the first fix from which on a segment is calm, or K if there is none.
 
-    The tilt that a force along the ground needs is then small, as `headings.turn_heading` takes it to be, and
-    what falls freely feels nothing that levels it.
+    A segment is calm if its mean acceleration is below 6 m/s^2: `headings.turn_heading` takes the tilt by a
+    horizontal force as small, and in free fall no force levels the IMU.
+
+    t (K,) is the validity of the fixes [s], vel_n (K, 3) their velocity [m/s], length that of a segment [s].
     """
     end = np.searchsorted(t, t + length - timeline.TIME_TOLERANCE)
     (inside,) = np.nonzero(end < len(t))
@@ -237,15 +266,15 @@ def _find_path(
     *,
     along: bool,
 ) -> tuple[FloatArray, FloatArray, float] | None:
-    """Return the strapdown along some fixes that matches their velocity change and final course.
+    """Return the strapdown (K, 10) along some fixes that matches their velocity change and final course.
 
-    Also F, and how far the vertical velocity is off, over the time [m/s^2].
+    Also return its mean specific force F (3,), n, and its error of the mean vertical acceleration [m/s^2].
 
     Of two fixes the velocities are measured; of four without velocity, next to the IMU ``samples``, it gains
     that by which the mean between the last two exceeds that between the first. Newton's iteration on the
     attitude at the start, from a ``roll`` [rad] on; the lever arm is taken off the fixes. It looks at the
-    horizontal velocity. Not ``along`` its course, the nose points north. None if that leads nowhere, or to an
-    attitude with which the aircraft would gain another vertical one: upside down.
+    horizontal velocity. The heading at the end is the course if ``along``, else north. None if it does not
+    converge, or if the vertical velocity disagrees: upside down.
     """
     assert sensors.fixes is not None
     lla, arm_b, moving = sensors.fixes.lla[list(ends)], sensors.antenna_b, len(ends) == 2

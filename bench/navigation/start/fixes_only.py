@@ -152,7 +152,7 @@ class Coast(SessionState):
 
 
 def violent(imu: ImuData) -> bool:
-    """Return whether a vehicle was pushed by 1 g beyond its weight: its fixes go other ways than usual."""
+    """Return whether the specific force of a valid sample exceeds 2 g: `Coast.go_beyond` applies."""
     force = np.linalg.norm(imu.dvel_b[imu.valid], axis=1) / imu.dt[imu.valid]
     return bool((force > 2.0 * STANDARD_GRAVITY).any())
 

@@ -36,7 +36,7 @@ from bench.core.records.data import (
 from bench.navigation.engine.piecewise import (
     InPieces,
     KnowsImuErrors,
-    MayGoAstray,
+    MayLoseHeading,
     answer_now,
     join_solutions,
     join_tables,
@@ -109,14 +109,14 @@ class ManyHeadings(SessionState):
         return self.members[0].end
 
     @property
-    def astray(self) -> float | None:
-        """When a heading that is unknown began to count [s] (`piecewise.MayGoAstray`)."""
-        return cast("MayGoAstray", self.members[0 if self.complete else self.best]).astray
+    def heading_lost_at(self) -> float | None:
+        """Time of the first motion without a heading [s], or None (`piecewise.MayLoseHeading`)."""
+        return cast("MayLoseHeading", self.members[0 if self.complete else self.best]).heading_lost_at
 
     @property
-    def vague(self) -> bool:
-        """Whether the heading is too uncertain for one linear filter."""
-        return cast("MayGoAstray", self.members[0 if self.complete else self.best]).vague
+    def heading_vague(self) -> bool:
+        """Whether the sigma of the heading is above `headings.LINEAR`."""
+        return cast("MayLoseHeading", self.members[0 if self.complete else self.best]).heading_vague
 
     def steady_errors(self) -> tuple[FloatArray, FloatArray]:
         """Return the steady errors of the hypothesis that is the estimate (`piecewise.KnowsImuErrors`)."""

@@ -1,4 +1,4 @@
-"""The pause of a filter after a gap or a reset, and the ways to find an attitude again."""
+"""The pause of a filter after a gap or a reset, and the alignments that may end it."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from bench.navigation.start.course import LEAST_SPEED
 from bench.navigation.start.fixes_only import Coast
 from bench.navigation.start.headings import LINEAR
 
-_ALIGN_FOR = 10.0  # of a segment that gives the course, or of a standstill [s]
-_MATCHED_FOR = 2.0  # of a segment whose velocities level the IMU [s]
+_ALIGN_FOR = 10.0  # length of a segment that gives the course, or of a standstill [s]
+_MATCHED_FOR = 2.0  # length of a segment whose velocities level the IMU [s]
 _STILL = 0.3  # speed below which an aircraft stood before a gap [m/s]
 _SIGMAS = 5.0  # by which it may seem to have moved in it
 
@@ -44,9 +44,19 @@ class Pause(SessionState):
 
 
 def list_starts(begin: float, coast: Coast, *, any_heading: bool = False) -> list[StartSearch]:
-    """Return the searches for an alignment after a gap that ended at a time [s]: at rest, then moving.
+    """Return the searches for an alignment after a gap or reset that ended at a time [s].
 
-    ``any_heading``: the filter starts with an unknown one.
+    First "level", if the position is known. Then "course", 10 s; or, if the filter can start with any heading
+    and wind may turn the nose off the course by more than `LINEAR`, "motion", 2 s.
+
+    Parameters
+    ----------
+    begin : float
+        First time of the search [s].
+    coast : Coast
+        Position and velocity by the fixes.
+    any_heading : bool
+        The filter can start with an unknown heading (`headings`).
     """
     lla, vel_n, cov = coast.at(begin)
     before, unknown = coast.end, np.full(4, np.nan)
@@ -56,7 +66,7 @@ def list_starts(begin: float, coast: Coast, *, any_heading: bool = False) -> lis
     ways = [
         InitialState(begin, unknown[:3], unknown[:3], unknown, wide, "course", _ALIGN_FOR, drift_sd=drift_sd)
     ]
-    if any_heading and drift_sd > LINEAR:  # the course says no more of the heading than motion will
+    if any_heading and drift_sd > LINEAR:  # motion finds the heading better than the course
         ways = [replace(ways[0], alignment="motion", align_for=_MATCHED_FOR, drift_sd=UNKNOWN_HEADING_SD)]
     if np.isfinite(lla).all():
         wide = wide.copy()

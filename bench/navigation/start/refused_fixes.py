@@ -65,11 +65,13 @@ class RefusedFixes(SessionState):
         """Return whether a position of the last window was rejected."""
         return bool(self._refused.any())
 
-    def find(self, table: Innovations, astray: float | None = None) -> tuple[float, bool] | None:
+    def find(self, table: Innovations, heading_lost_at: float | None = None) -> tuple[float, bool] | None:
         """Return the first epoch [s] at which the filter has diverged, by its next innovations.
 
-        Also whether it has rejected fixes for long. ``astray`` is when a heading that is unknown began to
-        count [s]: then, and every few seconds after it, sound fixes are enough.
+        Also whether it has rejected positions for long; if not, it has lost its heading alone.
+        ``heading_lost_at`` is the time from which the vehicle has moved without a heading [s], or None. From
+        then on the filter has diverged as soon as the fixes of a window agree with their velocities, whether
+        rejected or not; a quarter of the window passes between two tests.
         """
         if not len(table):
             return None
@@ -91,8 +93,8 @@ class RefusedFixes(SessionState):
             rejected &= refused & (k + 1 - first >= _FEWEST) & (k >= before)
             rejected &= t >= self._begun + self.window
         due = rejected.copy()
-        if astray is not None:
-            steps = np.floor((t - astray + TIME_TOLERANCE) / (0.25 * self.window))
+        if heading_lost_at is not None:
+            steps = np.floor((t - heading_lost_at + TIME_TOLERANCE) / (0.25 * self.window))
             due[before:] |= (np.diff(steps, prepend=-1.0)[before:] > 0) & (steps[before:] >= 0)
         for now, long in zip(t[due].tolist(), rejected[due].tolist(), strict=True):
             if now < self._next:

@@ -9,8 +9,8 @@ states begin as at the first start. A filter without fixes ends at the gap: noth
 
 A filter that has rejected sound fixes for long is lost (`refused_fixes`): it is reset in the same way, with
 nothing taken over of what it said, biases included: with a heading wrong by 90 deg it has learnt wrong ones.
-One that has lost its heading alone, in a hover, is reset when GNSS shows that it moves: a linear filter would
-find a wrong one. Its biases are kept.
+A filter that has lost only its heading, as in a hover, is reset when GNSS shows that the vehicle moves,
+because a linear filter would find a wrong heading. Its biases are kept.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from bench.navigation.engine.kept_rows import take_rows
 from bench.navigation.engine.piecewise import (
     InPieces,
     KnowsImuErrors,
-    MayGoAstray,
+    MayLoseHeading,
     answer_now,
     join_solutions,
     take_after,
@@ -54,7 +54,7 @@ from bench.navigation.start.learnt_biases import UNLEARNT, LearntBiases, learn_b
 from bench.navigation.start.new_starts import Pause, list_starts
 from bench.navigation.start.refused_fixes import SHARE, RefusedFixes
 
-_RECENT = 5.0  # time before a reset whose force tells how the vehicle moves [s]
+_RECENT = 5.0  # time before a reset in which a force above 2 g counts as a hard maneuver [s]
 _LONG = 10.0  # piece within which a filter may get lost: a copy of it is kept [s]
 LONGEST_KEPT = 120.0  # of a record that is kept beside such a copy [s]
 
@@ -78,7 +78,7 @@ class BetweenGaps(SessionState):
     readmit_after_s : float or None
         Of its gate; None: it is not reset.
     any_heading : bool
-        It starts with an unknown heading (`headings`).
+        The filter can start with an unknown heading (`headings`), so it restarts after 2 s of motion.
     """
 
     head: Replaced[SensorData]
@@ -199,8 +199,8 @@ class BetweenGaps(SessionState):
         else:
             solution = self._end_at(part, ended)
         if self.watch is not None:
-            astray = None if self.filter is None else cast("MayGoAstray", self.filter).astray
-            lost = self.watch.find(solution.innovations, astray)
+            since = None if self.filter is None else cast("MayLoseHeading", self.filter).heading_lost_at
+            lost = self.watch.find(solution.innovations, since)
             if lost is not None and self.since is not None:
                 self.biases = before
                 self._reset(*lost, look_back, found, last=last, ended=ended)
@@ -220,9 +220,9 @@ class BetweenGaps(SessionState):
         return solution if len(wanted) == len(part.output_t) else take_answers(solution, slice(-1))
 
     @property
-    def _vague(self) -> bool:
-        """Whether the filter may lose its heading soon."""
-        return self.filter is not None and cast("MayGoAstray", self.filter).vague
+    def _heading_vague(self) -> bool:
+        """Whether the filter may lose its heading soon (`piecewise.MayLoseHeading`)."""
+        return self.filter is not None and cast("MayLoseHeading", self.filter).heading_vague
 
     def _keep_copy(self, part: SensorData) -> None:
         """Copy the filter if it may diverge in a part; if a copy exists, store the part."""
@@ -231,7 +231,7 @@ class BetweenGaps(SessionState):
         assert self.filter is not None
         if self.since is not None:
             self.since = join_pieces(self.since, part)
-        elif self.watch.any_refused or self._vague or newest_sample(part) - self.filter.end > _LONG:
+        elif self.watch.any_refused or self._heading_vague or newest_sample(part) - self.filter.end > _LONG:
             self.fork, self.since, self.told = self.filter.copy(), part, (-np.inf, -np.inf)
 
     def _drop_copy(self, solution: NavSolution) -> None:
@@ -239,7 +239,7 @@ class BetweenGaps(SessionState):
         if self.since is None:
             return
         assert self.watch is not None
-        kept = self.filter is not None and (self.watch.any_refused or self._vague)
+        kept = self.filter is not None and (self.watch.any_refused or self._heading_vague)
         if not kept or newest_sample(self.since) - self.since.imu.t.min(initial=np.inf) > LONGEST_KEPT:
             self.fork, self.since = None, None
         answered, told = self.told
@@ -255,9 +255,9 @@ class BetweenGaps(SessionState):
         last: bool,
         ended: float | None,
     ) -> None:
-        """End the filter at a time [s], go on with fixes alone and process the later record.
+        """End the filter at a time [s], continue with fixes alone and process the later record.
 
-        ``rejected``: it has rejected fixes for long; else it has lost its heading alone.
+        ``rejected``: it has rejected positions for long; else only its heading was lost, and its biases stay.
         """
         assert self.watch is not None
         assert self.since is not None
@@ -269,7 +269,9 @@ class BetweenGaps(SessionState):
         why = "GNSS shows motion while the heading is unknown"
         if rejected:
             self.biases = before  # what it has learnt is as wrong as its attitude
-            why = f"fixes of {SHARE:.0%} of {self.watch.window:g} s rejected that moved as their velocities"
+            why = (
+                f"fixes rejected for {SHARE:.0%} of {self.watch.window:g} s that agree with their velocities"
+            )
         assert self.stopped is not None
         assert self.accuracy is not None
         coast = Coast(self.head, lost_at(t, self.stopped), self.names, self.accuracy)

@@ -25,7 +25,7 @@ from bench.navigation.engine.kept_rows import take_rows
 from bench.navigation.engine.piecewise import (
     InPieces,
     KnowsImuErrors,
-    MayGoAstray,
+    MayLoseHeading,
     join_solutions,
     take_after,
 )
@@ -100,14 +100,14 @@ class FromTurnOn(SessionState):
         return self.filter.end
 
     @property
-    def astray(self) -> float | None:
-        """When a heading that is unknown began to count [s] (`piecewise.MayGoAstray`)."""
-        return cast("MayGoAstray", self.filter).astray
+    def heading_lost_at(self) -> float | None:
+        """Time of the first motion without a heading [s], or None (`piecewise.MayLoseHeading`)."""
+        return cast("MayLoseHeading", self.filter).heading_lost_at
 
     @property
-    def vague(self) -> bool:
-        """Whether the heading is too uncertain for one linear filter."""
-        return cast("MayGoAstray", self.filter).vague
+    def heading_vague(self) -> bool:
+        """Whether the sigma of the heading is above `headings.LINEAR`."""
+        return cast("MayLoseHeading", self.filter).heading_vague
 
     def steady_errors(self) -> tuple[FloatArray, FloatArray]:
         """Return the steady errors of the filter plus the bias found before (`piecewise.KnowsImuErrors`)."""
