@@ -197,10 +197,11 @@ def test_a_start_in_motion_waits_for_a_calm_segment(fall):
     t = np.arange(0.0, 12.0, 0.2)
     vel_n = np.zeros((len(t), 3))
     vel_n[:, 2 if fall else 0] = 9.8 * np.minimum(t, 5.0)
-    first = find_calm(t, vel_n, 2.0)
+    first = find_calm(t, vel_n, 2.0, np.empty(0))
     assert 3.6 <= t[first] <= 4.2  # 6 m/s^2 of the 9.8 over two seconds
+    assert find_calm(t, vel_n, 2.0, np.array([t[first] + 1.0])) > first  # no gap lies in it
     vel_n[:, 0] += 7.0 * t
-    assert find_calm(t, vel_n, 2.0) == len(t)
+    assert find_calm(t, vel_n, 2.0, np.empty(0)) == len(t)
 
 
 def test_a_heading_lost_in_a_hover_is_found_again_in_motion():

@@ -57,7 +57,9 @@ def align_on_the_move(sensors: SensorData, initial: InitialState) -> tuple[Initi
     least = 0.0 if any_way else LEAST_SPEED
     length = max(initial.align_for, POSITIONS) if any_way and not by_velocity else initial.align_for
     length = min(length, max(SHORTEST, LINEAR_TURN / max(specs.imu.gyro.turn_on_bias_sd, 1e-9)))
-    calm = find_calm(fixes.t[usable], fixes.vel_n[usable], length) if any_way and by_velocity else 0
+    calm = 0
+    if any_way and by_velocity:
+        calm = find_calm(fixes.t[usable], fixes.vel_n[usable], length, edges)
     first, last = find_motion(fixes.t[usable][calm:], speed[calm:], length, edges, least)
     first, last = first + calm, last + calm
     i, j = usable[first], usable[last]
@@ -214,18 +216,20 @@ def find_motion(
     )
 
 
-def find_calm(t: FloatArray, vel_n: FloatArray, length: float) -> int:
+def find_calm(t: FloatArray, vel_n: FloatArray, length: float, edges: FloatArray) -> int:
     """Return the index of the first fix from which on a segment is calm, or K if there is none.
 
     A segment is calm if its mean acceleration is below 6 m/s^2: `headings.turn_heading` takes the tilt by a
     horizontal force as small, and in free fall no force levels the IMU.
 
     t (K,) is the validity of the fixes [s], vel_n (K, 3) their velocity [m/s], length that of a segment [s].
+    ``edges`` are those of :func:`find_motion`.
     """
     end = np.searchsorted(t, t + length - timeline.TIME_TOLERANCE)
     (inside,) = np.nonzero(end < len(t))
     gain = np.linalg.norm(vel_n[end[inside]] - vel_n[inside], axis=1) / (t[end[inside]] - t[inside])
-    calm = gain < _CALM
+    passed = np.searchsorted(edges, t)
+    calm = (gain < _CALM) & (passed[end[inside]] == passed[inside])
     return int(inside[np.argmax(calm)]) if calm.any() else len(t)
 
 
