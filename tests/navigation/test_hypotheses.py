@@ -277,3 +277,11 @@ def test_another_heading_takes_place_and_velocity_along_and_leaves_what_it_does_
     left = bias_cov - np.outer(by_heading, bias_cov[8])
     left[6:8] = [[np.cos(0.4), -np.sin(0.4)], [np.sin(0.4), np.cos(0.4)]] @ left[6:8]
     assert_allclose(turned.bias_cov, left, atol=1e-9)
+
+
+def test_the_weights_of_an_answer_do_not_depend_on_the_others():
+    log = 5.0 * np.random.default_rng(11).standard_normal((headings.COUNT, 50))
+    together = headings.shares(log)
+    alone = np.hstack([headings.shares(log[:, k : k + 1]) for k in range(50)])
+    np.testing.assert_array_equal(alone, together)
+    assert_allclose(together.sum(axis=0), 1.0, rtol=1e-14)

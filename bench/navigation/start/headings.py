@@ -197,8 +197,7 @@ class ManyHeadings(SessionState):
                 log[k], self.log[k] = total[np.searchsorted(of, np.arange(len(t)), side="right")], total[-1]
                 tables.append(used)
                 rows.append(of)
-            weight = np.exp(log - log.max(axis=0))
-            weight = np.asarray(weight / weight.sum(axis=0))
+            weight = shares(log)
             leader = leading(weight, self.best)
             self.best = int(leader[-1])
             self.apart = heading_spread(parts, weight, self.best)
@@ -271,6 +270,12 @@ def gains(table: Innovations, rest: BoolArray, by_rest: list[str]) -> FloatArray
     name = np.array(table.sensor, dtype=str)[table.code]
     gain[np.isin(name, ASSUMED) | (rest & ~np.isin(name, by_rest))] = 0.0
     return np.asarray(np.where(np.isfinite(gain), gain, -np.inf))
+
+
+def shares(log: FloatArray) -> FloatArray:
+    """Return the weights (COUNT, M) by their logarithms, the same for an answer alone and among others."""
+    weight = np.exp(log - log.max(axis=0))
+    return np.asarray(weight / np.cumsum(weight, axis=0)[-1])  # ``sum`` adds a single column in another order
 
 
 def leading(weight: FloatArray, now: int) -> IntArray:
