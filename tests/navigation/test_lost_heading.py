@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bench.core.mathematics import rotation
+from bench.core.mathematics import earth, rotation
 from bench.core.records.sensor_specs import TriadSpec
 from bench.evaluation.errors.error_series import error_series
 from bench.navigation.built_in import load
@@ -155,10 +155,14 @@ def banked(seconds=12.0):
     return make_truth(vel_n, lean(vel_n, np.full(len(t), -2.2)))
 
 
-def start_in_motion(run, unit="adis16495"):
-    truth = banked()
-    spec = units(*(getattr(trials.load_sensors(unit, "zed-f9p"), name) for name in ("imu", "gnss", "baro")))
-    drawn = sensors.sense(truth, replace(spec, output_rate=1.0), 8, run)
+def start_in_motion(run, truth=None, receiver="zed-f9p", antenna_b=None, with_velocity=True):
+    truth = truth or banked()
+    spec = trials.load_sensors("adis16495", receiver)
+    spec = replace(units(spec.imu, spec.gnss, spec.baro), output_rate=1.0)
+    drawn = sensors.sense(truth, replace(spec, antenna_b=antenna_b or spec.antenna_b), 8, run)
+    if not with_velocity:
+        fixes = replace(drawn.data.fixes, vel_n=np.full_like(drawn.data.fixes.vel_n, np.nan))
+        drawn = replace(drawn, data=replace(drawn.data, fixes=fixes))
     asked = replace(
         drawn.initial,
         alignment="motion",
@@ -190,6 +194,23 @@ def test_a_start_in_motion_is_level_at_the_heading_that_is_true():
         assert np.linalg.norm(wrong) > 20.0 * DEG  # the push leans it 12 deg to one side, not to the other
         assert np.linalg.norm(error) < 2.0 * DEG
     assert np.mean(squares) < 2.0 * band(2 * len(squares))[1]
+
+
+@pytest.mark.parametrize("with_velocity", [True, False])
+@pytest.mark.parametrize("heading", [0.0, 1.5, 3.0])
+def test_a_start_in_motion_does_not_know_where_its_antenna_is_about_it(heading, with_velocity):
+    """A unit that rocks by 3 deg, fixes of a centimeter: a run is a draw of 4 degrees of freedom."""
+    t = clock(14.0)
+    vel_n = np.column_stack([0.1 * t, 0.2 * t, 0.0 * t])
+    euler = np.column_stack([3 * DEG * np.sin(2 * t), 3 * DEG * np.cos(3 * t), np.full(len(t), heading)])
+    truth = make_truth(vel_n, euler)
+    for run in range(3):
+        _, found = start_in_motion(run, truth, "rtk-fixed", (1.0, 0.5, -1.0), with_velocity)
+        k = round(found.t * RATE)
+        error = np.append(earth.difference_n(found.lla, truth.lla[k])[:2], (found.vel_n - truth.vel_n[k])[:2])
+        chosen = [0, 1, 3, 4]
+        nees = error @ np.linalg.solve(found.cov[np.ix_(chosen, chosen)], error)
+        assert nees < 4.0 * band(4)[1]
 
 
 @pytest.mark.parametrize("fall", [False, True])

@@ -80,6 +80,7 @@ def align_on_the_move(sensors: SensorData, initial: InitialState) -> tuple[Initi
             dvel[a:b],
             roll,
             along=bool(speed[last] >= LEAST_SPEED),
+            any_way=any_way,
         )
         paths += [path] if path is not None else []
         if paths and not any_way:
@@ -95,15 +96,20 @@ def align_on_the_move(sensors: SensorData, initial: InitialState) -> tuple[Initi
 
     r = fix_variance(gnss, gnss_markov=False)
     r_first, r_last = r[3:], r[3:]
-    share, common = 0.0, np.zeros(3)
+    share, common, early, late = 0.0, np.zeros(3), 0.0, 0.0
     T_gain = T  # over which the velocity is gained
     if not by_velocity:
         # mean velocities of the ends; what slow errors cancel between two fixes is not counted
-        early, late = fixes.t[ends[1]] - fixes.t[i], fixes.t[j] - fixes.t[ends[2]]
+        early, late = float(fixes.t[ends[1]] - fixes.t[i]), float(fixes.t[j] - fixes.t[ends[2]])
         r_first, r_last = 2.0 * r[:3] / early**2, 2.0 * r[:3] / late**2
-        T_gain = T - 0.5 * float(early + late)
-        share = 0.5 * float(late) / T_gain  # of the error of the gain, from the middle of the end to its last
+        T_gain = T - 0.5 * (early + late)
+        share = 0.5 * late / T_gain  # of the error of the gain, from the middle of the end to its last
         common = fix_variance(gnss, gnss_markov=True)[:3] / late  # by the last fix
+    arm = np.zeros((3, 3))
+    if any_way:
+        rates = [dtheta[k] / span[k] for k in (a, b - 1)]
+        arm = _arm_variance(sensors.antenna_b, states[[k - a for k in samples]], rates, early, late)
+        r_first, r_last = r_first + arm[1], r_last + arm[2]
     g = float(earth.gravity_n(end[0], end[2])[2])
     speed = float(np.hypot(end[3], end[4]))
     across = np.zeros(2) if any_way else np.array([-end[4], end[3]]) / speed**2
@@ -126,7 +132,7 @@ def align_on_the_move(sensors: SensorData, initial: InitialState) -> tuple[Initi
     noise = np.array(
         [*r_first[:2], *r_last[:2], initial.drift_sd**2, force_sd**2, force_sd**2, *[tilt_sd**2] * 2]
     )
-    cov = np.diag(np.concatenate([r, np.zeros(3)]))
+    cov = np.diag(np.concatenate([r[:3] + arm[0], r_last, np.zeros(3)]))
     cov[6:, 6:] = J @ np.diag(noise) @ J.T
     cov[3:5, 6:] = (V * noise) @ J.T
     if not by_velocity:
@@ -269,6 +275,7 @@ def _find_path(
     roll: float,
     *,
     along: bool,
+    any_way: bool,
 ) -> tuple[FloatArray, FloatArray, float] | None:
     """Return the strapdown (K, 10) along some fixes that matches their velocity change and final course.
 
@@ -277,8 +284,9 @@ def _find_path(
     Of two fixes the velocities are measured; of four without velocity, next to the IMU ``samples``, it gains
     that by which the mean between the last two exceeds that between the first. Newton's iteration on the
     attitude at the start, from a ``roll`` [rad] on; the lever arm is taken off the fixes. It looks at the
-    horizontal velocity. The heading at the end is the course if ``along``, else north. None if it does not
-    converge, or if the vertical velocity disagrees: upside down.
+    horizontal velocity. The heading at the end is the course if ``along``, else north; where it may be
+    ``any_way``, only the height of the arm is taken off. None if it does not converge, or if the vertical
+    velocity disagrees: upside down.
     """
     assert sensors.fixes is not None
     lla, arm_b, moving = sensors.fixes.lla[list(ends)], sensors.antenna_b, len(ends) == 2
@@ -288,19 +296,21 @@ def _find_path(
     else:
         early, late, T = span[1], span[3] - span[2], span[3]
         vel, gain_time = earth.difference_n(lla[1], lla[0]) / early, T - 0.5 * (early + late)
+    known = np.array([0.0, 0.0, 1.0]) if any_way else np.ones(3)
     q, swept = rotation.from_euler(roll, 0.0, np.arctan2(vel[1], vel[0])), np.zeros(3)
     for _ in range(30):
         if moving:
-            swept = _swept(arm_b, q, dtheta[0] / dt[0], lla[0, 0])
-        place = earth.displace(lla[0], -rotation.rotate(q, arm_b))
+            swept = known * _swept(arm_b, q, dtheta[0] / dt[0], lla[0, 0])
+        place = earth.displace(lla[0], -known * rotation.rotate(q, arm_b))
         states = propagate(place, vel - swept, q, dt, dtheta, dvel)
         end = states[-1]
         if moving:
-            wanted = last_vel - _swept(arm_b, end[6:], dtheta[-1] / dt[-1], end[0])
+            wanted = last_vel - known * _swept(arm_b, end[6:], dtheta[-1] / dt[-1], end[0])
             e = (end[3:6] - wanted) / T
         else:
             at = states[list(samples)]
-            off = earth.difference_n(earth.displace(at[:, :3], rotation.rotate(at[:, 6:], arm_b)), lla)
+            arm_n = known * rotation.rotate(at[:, 6:], arm_b)
+            off = earth.difference_n(earth.displace(at[:, :3], arm_n), lla)
             first, last = (off[1] - off[0]) / early, (off[3] - off[2]) / late  # of the mean velocities
             e = (last - first) / gain_time
             wanted = end[3:6] - last - e * (0.5 * late)
@@ -311,10 +321,29 @@ def _find_path(
         phi = np.array([(down * F[0] - e[1]) / F[2], (e[0] + down * F[1]) / F[2], down])
         q = rotation.multiply(rotation.from_rotvec(-phi), q)
         if np.abs(phi).max() < 1e-9:
-            states[-1, :3] = earth.displace(lla[-1], -rotation.rotate(end[6:], arm_b))
+            states[-1, :3] = earth.displace(lla[-1], -known * rotation.rotate(end[6:], arm_b))
             states[-1, 3:6] = wanted
             return (states, F, abs(float(e[2]))) if abs(e[2]) < _FALLS else None
     return None
+
+
+def _arm_variance(
+    antenna_b: FloatArray, states: FloatArray, rates: Sequence[FloatArray], early: float, late: float
+) -> FloatArray:
+    """Return what a lever arm does to place, first and last velocity: variances (3, 3), n.
+
+    Its horizontal part and that of its motion may point anywhere. Mean velocities over the times ``early``
+    and ``late`` [s] have that of its change between two of the four ``states``.
+    """
+    arms = rotation.rotate(states[:, 6:], antenna_b)
+    if len(states) == 2:
+        moved = [
+            _swept(antenna_b, state[6:], rate, state[0]) for state, rate in zip(states, rates, strict=True)
+        ]
+    else:
+        moved = [(arms[1] - arms[0]) / early, (arms[3] - arms[2]) / late]
+    square: FloatArray = np.square([arms[-1, :2], moved[0][:2], moved[1][:2]]).sum(axis=1)
+    return 0.5 * square[:, None] * [1.0, 1.0, 0.0]
 
 
 def _swept(antenna_b: FloatArray, q_nb: FloatArray, w_ib_b: FloatArray, lat: float) -> FloatArray:
