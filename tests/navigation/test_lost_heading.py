@@ -213,6 +213,16 @@ def test_a_start_in_motion_does_not_know_where_its_antenna_is_about_it(heading, 
         assert nees < 4.0 * band(4)[1]
 
 
+def test_a_start_in_motion_begins_with_what_is_calm_and_takes_ten_seconds_without_velocities():
+    """9 m/s^2 for 4 s: from 2.67 s on, less than 6 m/s^2 in the mean of two seconds."""
+    t = clock(14.0)
+    vel_n = np.column_stack([9.0 * np.minimum(t, 4.0), 0.0 * t, 0.0 * t])
+    _, found = start_in_motion(0, make_truth(vel_n, lean(vel_n, 0.0 * t)))
+    assert 4.6 < found.t < 5.2
+    _, found = start_in_motion(0, banked(14.0), with_velocity=False)
+    assert 10.0 < found.t < 11.0
+
+
 @pytest.mark.parametrize("fall", [False, True])
 def test_a_start_in_motion_waits_for_a_calm_segment(fall):
     t = np.arange(0.0, 12.0, 0.2)
