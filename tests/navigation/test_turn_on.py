@@ -450,6 +450,15 @@ def test_what_is_slow_and_turns_does_not_stand(turning_s, measured):
     assert_allclose(found, measured)
 
 
+def test_what_turns_steadily_after_it_stood_does_not_stand():
+    """At 0.57 deg/s from an angle on, which a gyro with a bias may show at rest."""
+    unit = ImuSpec("biased", TriadSpec(random_walk=1e-4, turn_on_bias_sd=0.02), QUIET.accel)
+    record, turning = record_of(np.zeros(60), np.full(60, 0.1)), 0.01 * (np.arange(60) >= 30)
+    for rates, measured in ((turning, ALL[:2]), (np.full(60, 0.01), ALL)):
+        found = steady_course.SteadyCourse(start(0.0), unit, steady=True)
+        assert_allclose(found.take(record, samples_of(rates))[0], measured)
+
+
 # --- the segment by hand ------------------------------------------------------------------------------------
 
 
