@@ -129,6 +129,14 @@ def test_a_heading_that_is_known_or_lost_has_no_second_order(sd_deg):
         assert P[7, 7] == 0.0
 
 
+def test_what_brakes_gains_no_second_order():
+    P = np.zeros((9, 9))
+    P[8, 8] = (8.0 * DEG) ** 2
+    P[4, 8] = P[8, 4] = 30.0 * P[8, 8]
+    curve_kernel(np.array([-5.0, 0.0, 0.0]), 1.0, P)
+    assert not P[3:5, 3:5].any()
+
+
 def test_a_drift_of_the_heading_turns_the_tilts():
     """Monte Carlo: the covariance of tilts changed by a small normal rotation."""
     random = np.random.default_rng(5)
