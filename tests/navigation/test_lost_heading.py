@@ -133,7 +133,7 @@ def test_what_brakes_gains_no_second_order():
     P = np.zeros((9, 9))
     P[8, 8] = (8.0 * DEG) ** 2
     P[4, 8] = P[8, 4] = 30.0 * P[8, 8]
-    curve_kernel(np.array([-5.0, 0.0, 0.0]), 1.0, P)
+    second_order_velocity_kernel(np.array([-5.0, 0.0, 0.0]), 1.0, P)
     assert not P[3:5, 3:5].any()
 
 

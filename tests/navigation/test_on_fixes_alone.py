@@ -364,16 +364,16 @@ def verdicts(t, refused, code=0):
     return Innovations.from_rows(("gnss_position", "gnss_velocity"), rows)
 
 
-def watched(refused, moves=1.0, window=10.0, cuts=(), astray=None, **changes):
+def watched(refused, moves=1.0, window=10.0, cuts=(), heading_lost_at=None, **changes):
     """When a filter is lost whose positions at 1 Hz are rejected, by fixes that move as they say or not."""
     t = np.arange(1.0, len(refused) + 1.0)
     fixes = replace(fixes_at(t, np.outer(t * moves, [3.0, 4.0, 0.0]), [3.0, 4.0, 0.0]), **changes)
     watch = RefusedFixes(RECEIVER, "datasheet", window)
     for begin, end in zip([0, *cuts], [*cuts, len(t)], strict=True):
         watch.take(take(fixes, slice(begin, end)))
-        lost = watch.find(verdicts(t[begin:end], refused[begin:end]), astray)
+        lost = watch.find(verdicts(t[begin:end], refused[begin:end]), heading_lost_at)
         if lost is not None:
-            assert lost[1]  # by rejections
+            assert lost[1] == (heading_lost_at is None)  # by rejections
             return lost[0]
     return None
 
@@ -403,20 +403,20 @@ def test_no_filter_is_lost_by_fixes_that_do_not_move_as_they_say():
     assert late == 51.0  # of 46, 51, ...: looked at again each quarter of the window
 
 
-def test_a_filter_astray_is_lost_at_the_next_fixes_that_move_as_they_say():
+def test_a_filter_without_a_heading_is_lost_at_the_next_fixes_that_move_as_they_say():
     """Looked at each quarter of the window from that time on, though no position is rejected."""
     good = [False] * 60
-    assert watched(good, astray=30.2) == 31.0
-    assert watched(good, astray=30.0) == 30.0
-    assert watched(good, astray=30.2, cuts=[12, 30, 31, 44]) == 31.0
-    assert watched(good, astray=3.0) == 13.0  # of 3, 8, 13: ten fixes tell something
-    assert watched(good, astray=70.0) is None
-    assert watched(good, moves=4.0, astray=30.2) is None
+    assert watched(good, heading_lost_at=30.2) == 31.0
+    assert watched(good, heading_lost_at=30.0) == 30.0
+    assert watched(good, heading_lost_at=30.2, cuts=[12, 30, 31, 44]) == 31.0
+    assert watched(good, heading_lost_at=3.0) == 13.0  # of 3, 8, 13: ten fixes tell something
+    assert watched(good, heading_lost_at=70.0) is None
+    assert watched(good, moves=4.0, heading_lost_at=30.2) is None
     t = np.arange(1.0, 61.0)
     place = np.outer(np.minimum(t, 31.0) * 4.0 + np.maximum(t - 31.0, 0.0), [3.0, 4.0, 0.0])
     lla = fixes_at(t, place, [3.0, 4.0, 0.0]).lla
-    assert watched(good, lla=lla, astray=28.0) == 53.0  # of 28, 33, ...
-    assert watched(good, lla=lla, astray=28.0, cuts=[29, 40, 53]) == 53.0
+    assert watched(good, lla=lla, heading_lost_at=28.0) == 53.0  # of 28, 33, ...
+    assert watched(good, lla=lla, heading_lost_at=28.0, cuts=[29, 40, 53]) == 53.0
 
 
 def test_too_few_fixes_tell_nothing():
