@@ -472,7 +472,7 @@ def test_a_standstill_ends_at_the_first_fix_that_moves():
     gnss = replace(EXACT, vel_white_sd=0.3)
     data = replace(data, specs=replace(data.specs, gnss=gnss))
     k = int(np.searchsorted(data.fixes.t, 15.5))
-    for speed, valid, end in ((1.5, True, 20.0), (1.52, True, 15.0), (1.52, False, 20.0)):
+    for speed, valid, end in ((1.95, True, 20.0), (1.97, True, 15.0), (1.97, False, 20.0)):
         vel_n, sound = data.fixes.vel_n.copy(), data.fixes.valid.copy()
         vel_n[k], sound[k] = [0.6 * speed, 0.0, -0.8 * speed], valid
         found, _ = alignment.complete(

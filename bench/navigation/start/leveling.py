@@ -22,6 +22,7 @@ REST_FORCE = 0.05  # largest change of the mean specific force of an aircraft on
 REST_RATE = np.deg2rad(0.5)  # the same of the mean rate: wind and engine rock it [rad/s]
 REST_SPEED_SD = 0.01  # velocity of a standstill: more would show as a change of position [m/s]
 SIGMAS = 5.0  # standard deviations of noise that a standstill may show
+SPEED_SIGMAS = 6.5  # of the velocity of a fix: one of hundreds of fixes beyond it would end the standstill
 FLICKER_KEPT = 0.5  # covariance of a flicker bias with its mean, over its variance [1]
 
 Rows = list[EventRow]
@@ -116,7 +117,9 @@ def _rest(
     if sensors.fixes is not None and sensors.specs.gnss is not None:
         sd = np.sqrt(fix_variance(sensors.specs.gnss, gnss_markov=False)[3:].max())
         speed = np.linalg.norm(sensors.fixes.vel_n, axis=1)
-        moving = sensors.fixes.valid & (speed > REST_SPEED_SD + SIGMAS * sd) & (sensors.fixes.t >= initial.t)
+        moving = (
+            sensors.fixes.valid & (speed > REST_SPEED_SD + SPEED_SIGMAS * sd) & (sensors.fixes.t >= initial.t)
+        )
         if moving.any():
             k = int(np.argmax(moving))
             until, why = min(last, float(sensors.fixes.t[k])), f"GNSS reports {speed[k]:.2g} m/s"
