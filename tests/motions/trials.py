@@ -33,6 +33,7 @@ from tests.motions.truths import Kind, Motion, make_truth
 
 KINDS: dict[str, Kind] = {**held.KINDS, **flown.KINDS}
 RECEIVERS = ("l1-code", "zed-f9p", "rtk-fixed")
+SKIES = ("sky-l1", "sky-l1l2", "sky-multi")  # with satellites, where one of the filters is tight
 VAGUE = float(np.deg2rad(30.0))
 BLOCKS = {"position": slice(0, 3), "velocity": slice(3, 6), "attitude": slice(6, 9), "heading": slice(8, 9)}
 _NINETY = 1.645
@@ -88,7 +89,7 @@ def run_trial(
     r = np.random.default_rng([seed, number, sorted(KINDS).index(kind)])
     motion = KINDS[kind](r)
     unit = str(r.choice(units or list_units()))
-    receiver = str(r.choice(RECEIVERS))
+    receiver = str(r.choice(SKIES if "tight" in uses else RECEIVERS))
     start = str(r.choice(("given", "unknown", *motion.starts)))
     truth = make_truth(motion.vel_n, motion.euler)
     spec = choose_start(load_sensors(unit, receiver), motion, start)
