@@ -8,7 +8,7 @@ import numpy as np
 
 from bench.core.mathematics.arrays import FloatArray
 from bench.core.records.sensor_specs import AssumedSpecs, ImuSpec, TriadSpec
-from bench.navigation.error_state_filter.error_state import CORE_BLOCKS
+from bench.navigation.error_state_filter.error_state import CORE_BLOCKS, StateLayout
 from bench.navigation.error_state_filter.state_processes import (
     ABSOLUTE,
     CUBE,
@@ -153,6 +153,21 @@ def _every_error(specs: AssumedSpecs) -> list[States]:
     found += _flicker("gyro", "rad_s", specs.imu.gyro, 0) + _flicker("accel", "m_s2", specs.imu.accel, 3)
     found += _g_sensitivity(specs) if specs.imu.gyro.g_sensitivity_sd > 0 else []
     return found + _g2_sensitivity(specs)
+
+
+def correlate_axes(P: FloatArray, layout: StateLayout, imu: ImuSpec) -> None:
+    """Add to P (n, n) what the elements ij and ji of each 3 x 3 matrix have in common.
+
+    Non-orthogonality leans both axes of a pair by half of it, alignment turns them. A triad that is turned
+    and leveled by itself measures as if it was not turned.
+    """
+    for name, triad in (("gyro", imu.gyro), ("accel", imu.accel)):
+        common = 0.25 * triad.nonorthogonality_sd**2 - triad.alignment_sd**2
+        if common and layout.has(f"{name}_matrix_x"):
+            first = layout.slice(f"{name}_matrix_x").start
+            for i, j in ((0, 1), (0, 2), (1, 2)):
+                one, other = first + 3 * i + j, first + 3 * j + i
+                P[one, other] = P[other, one] = common
 
 
 def _flicker_stages(triad: TriadSpec) -> list[tuple[float, FloatArray]]:

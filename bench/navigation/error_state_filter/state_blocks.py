@@ -17,9 +17,15 @@ import numpy as np
 from bench.core.mathematics import earth, rotation
 from bench.core.mathematics.arrays import FloatArray, IntArray
 from bench.core.records.data import InitialState, SensorData
-from bench.core.records.sensor_specs import AssumedSpecs
+from bench.core.records.sensor_specs import AssumedSpecs, ImuSpec
 from bench.navigation.error_state_filter.error_state import CORE, CORE_BLOCKS, GYRO, StateLayout
-from bench.navigation.error_state_filter.imu_states import EVERY_ERROR, MEMS, core_states, thermal_figures
+from bench.navigation.error_state_filter.imu_states import (
+    EVERY_ERROR,
+    MEMS,
+    core_states,
+    correlate_axes,
+    thermal_figures,
+)
 from bench.navigation.error_state_filter.ranges.range_states import CLOCK, RANGE_ERRORS
 from bench.navigation.error_state_filter.state_processes import (
     ABSOLUTE,
@@ -164,6 +170,9 @@ def state_model(
         P[3:6, 3:6] += variance * TURNING**2 * np.eye(3)
     table = np.array(sorted(drives, key=_correction_order), np.int64).reshape(-1, 3)
     thermal = thermal_figures(initial.t, float(initial.lla[2]), specs.imu)
+    correlate_axes(P, layout, specs.imu)
+    if initial.bias_cov.any():
+        _relate_attitude(P, table, specs.imu, float(thermal[0]), initial)
     if gyro_sd is not None:
         _know_gyro_biases(P, table, gyro_sd, float(thermal[0]), initial)
     full = np.array([specs.imu.gyro.range, specs.imu.accel.range])
@@ -183,12 +192,35 @@ def _correction_order(drive: tuple[int, int, int]) -> tuple[int, ...]:
     return int(own < 3), kind, *drive
 
 
+def _feel_gravity(initial: InitialState) -> FloatArray:
+    """Return the specific force (3,) of steady level flight at the start [m/s^2], b."""
+    g_n = earth.gravity_n(initial.lla[0], initial.lla[2])
+    return rotation.rotate(rotation.conjugate(initial.q_nb), -g_n)
+
+
+def _relate_attitude(
+    P: FloatArray, drives: IntArray, imu: ImuSpec, warmth: float, initial: InitialState
+) -> None:
+    """Add to P (n, n) what an aligned attitude has in common with states that act like a bias.
+
+    A tilt compensates whatever the accelerometers err by at rest. Left out are flicker, most of which an
+    alignment averages, and errors by the force along an axis itself, which its covariance does not hold.
+    """
+    sizes = [t.by_axis("turn_on_bias_sd") ** 2 + t.instability_by_axis**2 for t in (imu.gyro, imu.accel)]
+    size = np.concatenate(sizes)
+    by_error = np.divide(initial.bias_cov, size, out=np.zeros((9, 6)), where=size > 0.0)
+    across = [row for row in drives if row[2] != STEADY and _correction_order(row)[1] != 2]
+    L = steady_rows(np.array(across).reshape(-1, 3), _feel_gravity(initial), warmth, len(P))[:, CORE:]
+    more = by_error @ L @ P[CORE:, CORE:]
+    P[:9, CORE:] += more
+    P[CORE:, :9] += more.T
+
+
 def _know_gyro_biases(
     P: FloatArray, drives: IntArray, sd: float, warmth: float, initial: InitialState
 ) -> None:
     """Reduce P (n, n): biases and all that adds to them in steady motion are known to sd [rad/s]."""
-    f_b = rotation.rotate(rotation.conjugate(initial.q_nb), -earth.gravity_n(initial.lla[0], initial.lla[2]))
-    L = steady_rows(drives, f_b, warmth, len(P))[:3]
+    L = steady_rows(drives, _feel_gravity(initial), warmth, len(P))[:3]
     own = slice(GYRO, GYRO + 3)
     P[own], P[:, own] = 0.0, 0.0
     P[own], P[:, own] = -L @ P, -(L @ P).T
