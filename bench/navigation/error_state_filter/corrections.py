@@ -12,7 +12,7 @@ import numpy as np
 from bench.core.compilation.compiled import inner, kernel
 from bench.core.mathematics.arrays import FloatArray, IntArray
 from bench.core.mathematics.units import STANDARD_GRAVITY
-from bench.navigation.error_state_filter.error_state import ACCEL, GYRO, PHI
+from bench.navigation.error_state_filter.error_state import ACCEL, CORE, GYRO, PHI
 from bench.navigation.error_state_filter.state_processes import ABSOLUTE, CUBE, SQUARE, STEADY, WARMTH
 
 RATE_NOISE = 16.3
@@ -252,3 +252,50 @@ def turn_rows_kernel(H: FloatArray, turn: FloatArray, drives: IntArray, factor: 
             e = drives[d, 1]
             row[drives[d, 0]] += factor[d] * (row[e] - force[e - ACCEL])
             d += 1
+
+
+@kernel
+def refer_kernel(
+    P: FloatArray, dx: FloatArray, drives: IntArray, factor: FloatArray, errors: FloatArray
+) -> None:
+    """Refer the errors of P (n, n) to the motion that a feedback of dx (n,) leaves; fill ``errors`` (n,).
+
+    What is known of a bias and of a state that acts by the motion is their sum at the estimated motion. A
+    correction of the errors of the unit (6,), the first ``errors``, moves the estimate of all motion so far.
+    The bias takes the difference: a covariance that stays takes that for a motion that parts the two.
+    """
+    for i in range(6):
+        errors[i] = dx[GYRO + i]
+    for d in range(drives.shape[0]):
+        errors[drives[d, 1] - GYRO] += factor[d] * dx[drives[d, 0]]
+    for d in range(drives.shape[0]):
+        s, b, by = drives[d, 0], drives[d, 1], _moved_kernel(drives[d, 2], errors)
+        for k in range(P.shape[0]):
+            P[b, k] -= by * P[s, k]
+    for d in range(drives.shape[0]):
+        s, b, by = drives[d, 0], drives[d, 1], _moved_kernel(drives[d, 2], errors)
+        for k in range(GYRO, CORE):
+            P[k, b] -= by * P[k, s]
+    for b in range(GYRO, CORE):
+        for k in range(P.shape[0]):
+            P[k, b] = P[b, k]
+
+
+@kernel
+def refer_rows_kernel(H: FloatArray, drives: IntArray, errors: FloatArray) -> None:
+    """Refer rows H (m, n) of measurements as :func:`refer_kernel` refers the errors."""
+    for d in range(drives.shape[0]):
+        by = _moved_kernel(drives[d, 2], errors)
+        for a in range(H.shape[0]):
+            H[a, drives[d, 0]] += by * H[a, drives[d, 1]]
+
+
+@inner
+def _moved_kernel(by: int, errors: FloatArray) -> float:
+    """Return by how much a correction of the errors (6,) of the unit changes the factor of a drive."""
+    change: float = 0.0
+    if by < STEADY:
+        change = errors[by]
+    elif by >= CUBE:
+        change = -3.0 * errors[by - CUBE]
+    return change

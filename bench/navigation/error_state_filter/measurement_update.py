@@ -27,7 +27,13 @@ from bench.navigation.engine.kalman import (
     stretch_kernel,
 )
 from bench.navigation.engine.late_updates import late_rows_kernel, late_update_kernel, settle_kernel
-from bench.navigation.error_state_filter.corrections import axes_kernel, reset_kernel, turn_rows_kernel
+from bench.navigation.error_state_filter.corrections import (
+    axes_kernel,
+    refer_kernel,
+    refer_rows_kernel,
+    reset_kernel,
+    turn_rows_kernel,
+)
 from bench.navigation.error_state_filter.error_state import (
     feedback_kernel,
 )
@@ -186,7 +192,9 @@ def use_kernel(
     if dx[8] != 0.0:
         axes_kernel(now.state, dx, work.drives, work.factor, work.turn)
         reset_kernel(P, work.turn, work.drives, work.factor, late.HP)
+        refer_kernel(P, dx, work.drives, work.factor, work.row)
         for slot in range(pending.live.shape[0]):
             wait = pending.H[slot * pending.width : slot * pending.width + pending.live[slot]]
             turn_rows_kernel(wait, work.turn, work.drives, work.factor)
+            refer_rows_kernel(wait, work.drives, work.row)
     feedback_kernel(now.state, dx)
