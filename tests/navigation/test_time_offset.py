@@ -14,6 +14,7 @@ from scipy import stats
 
 from bench.core.words.exceptions import EstimatorError
 from bench.evaluation.errors.error_series import error_series
+from bench.evaluation.errors.fixes import antenna_errors
 from bench.io.config.log import load_log
 from bench.io.logs.log_records import read_records
 from bench.navigation.built_in import load
@@ -21,7 +22,7 @@ from bench.navigation.error_state_filter.state_blocks import CLOCK_WALK
 from bench.pipeline.log_pipeline import Session, find_start
 from bench.simulation import sensors
 from tests.builders import put
-from tests.weaving import units, weaving
+from tests.weaving import GNSS, units, weaving
 
 SD = 0.1
 DRIVE = Path(__file__).parent.parent / "logs" / "drive.toml"
@@ -33,9 +34,9 @@ def truth():
     return weaving(60.0, rate=50.0)
 
 
-def draw(truth, run, sd=SD):
+def draw(truth, run, sd=SD, receiver=GNSS):
     """Return records whose fixes show the motion at their times plus an offset, and that offset [s]."""
-    drawn = sensors.sense(truth, replace(units(), output_rate=1.0), 11, run)
+    drawn = sensors.sense(truth, replace(units(gnss=receiver), output_rate=1.0), 11, run)
     random, fixes = np.random.default_rng([5, run]), drawn.data.fixes
     steps = np.sqrt(np.diff(fixes.t, prepend=0.0)) * random.standard_normal(len(fixes))
     offset = sd * random.standard_normal() + CLOCK_WALK * np.cumsum(steps)
@@ -70,6 +71,32 @@ def test_the_offset_and_all_else_are_as_claimed(truth, use):
 def test_without_the_state_the_same_fixes_make_a_filter_wrong(truth):
     _, nees, _ = measure(truth, {}, 6)
     assert nees > 3 * stats.chi2.isf(0.0005, 9 * 6)
+
+
+PRECISE = replace(GNSS, pos_h_white_sd=0.05, pos_v_white_sd=0.08)
+"""A receiver whose noise hides no error of the clock: 10 ms are 0.25 m at 25 m/s."""
+
+
+@pytest.mark.parametrize(("use", "gone"), [("loose-15", 1), ("loose-15", 10), ("smoother", 1)])
+def test_withheld_fixes_are_compared_at_the_time_that_the_filter_estimates(truth, use, gone):
+    """Of ``gone`` withheld fixes the last: chi-squared, two-sided 99.9 %; along the course by itself.
+
+    There the error of the offset is the largest part of the position's, and none of what is compared.
+    """
+    total, along = 0.0, 0.0
+    for run in range(DRAWS):
+        drawn, _ = draw(truth, run, receiver=PRECISE)
+        fixes, last = drawn.data.fixes, len(drawn.data.fixes) - 10
+        kept = np.ones(len(fixes), np.bool_)
+        kept[last + 1 - gone : last + 1] = False
+        data = replace(drawn.data, fixes=fixes.take(kept), output_t=np.append(fixes.t[last], 59.0))
+        solution = load(use, {"time_offset_sd": SD}).run(data, drawn.initial)
+        errors, moved = antenna_errors(solution, fixes.take(np.arange(len(fixes)) == last), drawn.data)
+        course = solution.vel_n[0] / np.linalg.norm(solution.vel_n[0])
+        total += errors.nees[0]
+        along += (errors.pos_n[0] @ course) ** 2 / (course @ moved.cov[0, :3, :3] @ course)
+    assert stats.chi2.isf(0.9995, DRAWS) < along < stats.chi2.isf(0.0005, DRAWS)
+    assert stats.chi2.isf(0.9995, 6 * DRAWS) < total < stats.chi2.isf(0.0005, 6 * DRAWS)
 
 
 def test_it_needs_fixes():

@@ -21,6 +21,8 @@ from bench.core.records.sensor_specs import DEFAULT_DATE, AssumedSpecs
 
 LLA = ("lat_rad", "lon_rad", "alt_m")
 Q_NB = ("q_nb_w", "q_nb_x", "q_nb_y", "q_nb_z")
+TIME_OFFSET = "time_offset_s"
+"""Further state of a filter that estimates the clock of the fixes: the time to add to them [s]."""
 STATES = tuple(
     (f"{block}_{axis}", unit)
     for block, unit in (("pos", "m"), ("vel", "m/s"), ("phi", "rad"))
@@ -404,6 +406,9 @@ class NavSolution(Record):
         Names of further states; the unit ends the name.
     extra, extra_sd : ndarray, (M, n)
         Their values and standard deviations.
+    offset_cov : ndarray, (M, 9), or None
+        Covariance of the error of ``time_offset_s``, the time to add to the fixes, with the errors of
+        ``cov``; NaN if it is not known, None without this state.
     innovations : Innovations
         Measurement minus prediction, with NIS and acceptance.
     events : Events
@@ -429,6 +434,13 @@ class NavSolution(Record):
     extra_sd: FloatArray = column(shape=(None,))
     innovations: Innovations = field(default_factory=no_innovations)
     events: Events = field(default_factory=no_events)
+    offset_cov: FloatArray | None = None
 
     def __post_init__(self) -> None:
         self._freeze(width=len(self.extra_names))
+        if TIME_OFFSET in self.extra_names and self.offset_cov is None:
+            object.__setattr__(self, "offset_cov", np.full((len(self), 9), np.nan))
+        elif TIME_OFFSET not in self.extra_names and self.offset_cov is not None:
+            raise ValueError(f"NavSolution.offset_cov needs {TIME_OFFSET!r} among extra_names")
+        if self.offset_cov is not None:
+            freeze_field(self, "offset_cov", float, (len(self), 9))

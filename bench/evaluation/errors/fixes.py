@@ -15,7 +15,7 @@ from bench.core.files import disk_arrays
 from bench.core.mathematics import earth, rotation
 from bench.core.mathematics.arrays import BoolArray, FloatArray, IntArray
 from bench.core.mathematics.units import SAME_INSTANT
-from bench.core.records.data import GnssFixes, ImuData, NavSolution, SensorData
+from bench.core.records.data import TIME_OFFSET, GnssFixes, ImuData, NavSolution, SensorData
 from bench.core.records.run_records import ErrorSeries
 from bench.core.records.specs import EvaluationWindow
 from bench.evaluation.errors.error_series import find_covered_epochs, normalized_squares, select_epochs
@@ -25,12 +25,16 @@ from bench.evaluation.metrics.run_metrics import METRICS, CarriedSolution, judge
 
 _OF_TRUTH = ("outage", "coverage", "error_over", "ape", "rpe", "drift")
 """How the names of metrics begin that the errors of the fixes themselves would spoil."""
+_LATEST = 1.0  # longest part of a clock offset over which the motion of the IMU is averaged [s]
 
 
 def antenna_errors(
     solution: NavSolution, fixes: GnssFixes, data: SensorData
 ) -> tuple[ErrorSeries, NavSolution]:
     """Return estimate minus fix at the antenna, for every fix at an epoch of the solution.
+
+    If the filter estimates the clock of the fixes, a fix is compared with the motion at its time plus the
+    estimated offset.
 
     Parameters
     ----------
@@ -65,7 +69,59 @@ def antenna_errors(
         extra=np.empty((len(k), 0)),
         extra_sd=np.empty((len(k), 0)),
     )
-    return point_errors(select_epochs(solution, k), reference, data.antenna_b, data.imu)
+    estimate = _move_by_offset(select_epochs(solution, k), data.imu)
+    return point_errors(estimate, reference, data.antenna_b, data.imu)
+
+
+def _move_by_offset(solution: NavSolution, imu: ImuData) -> NavSolution:
+    """Return a solution at each of its epochs plus the clock offset of the fixes that it estimates.
+
+    The mean force and rate in between move it, ``p + v dt + a dt^2 / 2`` and ``v + a dt``; its covariance is
+    that of the errors there, to which the error of the offset adds v, a and the rate. Unknown covariances of
+    the offset with these are taken as 0.
+    """
+    if solution.offset_cov is None or not len(solution):
+        return solution
+    at = solution.extra_names.index(TIME_OFFSET)
+    dt, sd = solution.extra[:, at, None], solution.extra_sd[:, at, None]
+    dt = np.where(np.isfinite(dt), dt, 0.0)
+    w_b, f_b = _find_mean_motion(imu, solution.t, solution.t + np.clip(dt[:, 0], -_LATEST, _LATEST))
+    w_b = w_b - np.nan_to_num(solution.gyro_bias_b)
+    half = rotation.from_rotvec(0.5 * w_b * dt)
+    middle = rotation.multiply(solution.q_nb, half)
+    C_nb = rotation.matrix(middle)
+    f_n = np.einsum("kij,kj->ki", C_nb, f_b - np.nan_to_num(solution.accel_bias_b))
+    a_n = np.nan_to_num(f_n + earth.gravity_n(solution.lla[:, 0], solution.lla[:, 2]))
+    u = np.hstack([solution.vel_n + a_n * dt, a_n, np.einsum("kij,kj->ki", C_nb, np.nan_to_num(w_b))])
+    F = np.tile(np.eye(9), (len(dt), 1, 1))
+    F[:, range(3), range(3, 6)] = dt
+    F[:, 3:6, 6:] = rotation.skew(np.nan_to_num(f_n)) * -dt[:, :, None]
+    F[:, :3, 6:] = 0.5 * dt[:, :, None] * F[:, 3:6, 6:]
+    c = F @ np.nan_to_num(solution.offset_cov)[:, :, None]
+    across = c @ u[:, None, :]
+    variance = np.nan_to_num(sd)[:, :, None] ** 2
+    cov = F @ solution.cov @ F.transpose(0, 2, 1) + across + across.transpose(0, 2, 1)
+    return replace(
+        solution,
+        lla=earth.displace(solution.lla, solution.vel_n * dt + 0.5 * a_n * dt**2),
+        vel_n=solution.vel_n + a_n * dt,
+        q_nb=rotation.multiply(middle, half),
+        cov=cov + variance * u[:, :, None] * u[:, None, :],
+    )
+
+
+def _find_mean_motion(imu: ImuData, begin: FloatArray, end: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return mean rate (M, 3) [rad/s] and force (M, 3) [m/s^2] of the samples between times (M,), b."""
+    first, last = (
+        np.clip(np.searchsorted(imu.t, t - SAME_INSTANT), 0, len(imu) - 1)
+        for t in (np.minimum(begin, end), np.maximum(begin, end))
+    )
+    span = [slice(a, b + 1) for a, b in zip(first, last, strict=True)]
+    duration = np.array([imu.dt[one].sum() for one in span])[:, None]
+    w_b, f_b = (
+        np.array([of[one].sum(axis=0) for one in span]) / duration for of in (imu.dtheta_b, imu.dvel_b)
+    )
+    return w_b, f_b
 
 
 def point_errors(
@@ -149,7 +205,8 @@ def measure_by_fixes(
             if metric.block not in left_out and not metric.name.startswith(_OF_TRUTH)
         ]
         covered, silent = find_covered_epochs(solution)[rows], find_silent_epochs(solution)
-        at_fixes, judged = select_epochs(solution, rows[covered]), select_epochs(errors, covered)
+        at_fixes = _move_by_offset(select_epochs(solution, rows[covered]), data.imu)
+        judged = select_epochs(errors, covered)
         carried = None
         if silent[rows].any():
             moved = carry_on(solution, silent)

@@ -9,7 +9,14 @@ from types import SimpleNamespace
 import numpy as np
 
 from bench.core.mathematics.units import unit_of
-from bench.core.records.data import GnssObservations, Innovations, NavSolution, Trajectory
+from bench.core.records.data import (
+    STATES,
+    TIME_OFFSET,
+    GnssObservations,
+    Innovations,
+    NavSolution,
+    Trajectory,
+)
 from bench.core.records.fields import Column, columns_of
 from bench.core.records.instruments import INSTRUMENTS
 from bench.core.records.run_records import SensorTruth
@@ -90,6 +97,10 @@ def solution_layout(extra_names: Sequence[str]) -> Layout:
         layout[field] = _rename_columns(
             layout[field], [f"{stem}_{name}" for name in extra_names], extra_names
         )
+    if TIME_OFFSET in extra_names:
+        names, units = zip(*STATES, strict=True)
+        named = tuple(f"cov_time_offset_{name}" for name in names)
+        layout["offset_cov"] = Column(named, tuple(f"s {unit}" for unit in units), "n", (9,), float)
     return layout
 
 

@@ -21,7 +21,12 @@ def solution(
 ) -> NavSolution:
     """Return states (M, n + 1) and covariances (M, n, n) at epochs t (M,) as a solution."""
     variance = np.einsum("kii->ki", P)[:, 9:]
-    return answers(t, layout, state, P[:, :9, :9], variance, table, events)
+    return answers(t, layout, state, P[:, :9, :9], variance, table, events, offset_rows(layout, P))
+
+
+def offset_rows(layout: StateLayout, P: FloatArray) -> FloatArray | None:
+    """Return the covariances (M, 9) of the clock offset in P (M, n, n) with the first states."""
+    return P[:, layout.slice("time_offset").start, :9] if layout.has("time_offset") else None
 
 
 def answers(
@@ -32,6 +37,7 @@ def answers(
     variance: FloatArray,
     table: Innovations,
     events: Events,
+    offset_cov: FloatArray | None = None,
 ) -> NavSolution:
     """Return a solution from covariances (M, 9, 9) and variances (M, shown - 9) of the other states.
 
@@ -52,4 +58,5 @@ def answers(
         extra_sd=sd,
         innovations=table,
         events=events,
+        offset_cov=offset_cov,
     )

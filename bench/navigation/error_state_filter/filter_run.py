@@ -70,6 +70,9 @@ class Stores(NamedTuple):
     state: FloatArray  # (M, shown + 1) at each output, but the last states: single satellites
     cov: FloatArray  # (M, 9, 9) of position, velocity, attitude
     variance: FloatArray  # (M, shown - 9) of the states from the gyro bias on
+    offset: (
+        FloatArray  # (M, 9) covariance of the clock offset of fixes with the first states, if there is one
+    )
     # (N, 2, n + 1) before and after the measurements at the nodes of a smoother; none without one
     node_state: FloatArray
     node_cov: FloatArray  # (N, 2, n, n)
@@ -88,8 +91,8 @@ def _keep_kernel(now: FilterState, state: FloatArray, P: FloatArray) -> None:
 
 
 @inner
-def _answer_kernel(now: FilterState, at: int, stores: Stores) -> None:
-    """Store the state of the filter as an output."""
+def _answer_kernel(now: FilterState, at: int, clock: int, stores: Stores) -> None:
+    """Store the state of the filter as an output; ``clock`` is the index of the clock offset, or -1."""
     P, cov = now.P, stores.cov[at]
     for i in range(stores.state.shape[1]):
         stores.state[at, i] = now.state[i]
@@ -98,6 +101,9 @@ def _answer_kernel(now: FilterState, at: int, stores: Stores) -> None:
             cov[i, j] = P[i, j]
     for i in range(stores.variance.shape[1]):
         stores.variance[at, i] = P[9 + i, 9 + i]
+    if clock >= 0:
+        for i in range(9):
+            stores.offset[at, i] = P[clock, i]
 
 
 @kernel
@@ -149,11 +155,11 @@ def fusion_kernel(
         if peeking:
             for i in range(carried.whole.shape[0]):
                 carried.whole[i] = carried.kept[i]
-            _answer_kernel(goes, output, stores)
+            _answer_kernel(goes, output, index.time_offset, stores)
             output += 1
             e += 1
         elif asked and ahead[output] == 0.0 and carried.elapsed[0] == 0.0:
-            _answer_kernel(now, output, stores)
+            _answer_kernel(now, output, index.time_offset, stores)
             output += 1
             e += 1
         elif action == GO_ON:
@@ -198,7 +204,7 @@ def fusion_kernel(
             _keep_kernel(now, stores.node_state[node, 1], stores.node_cov[node, 1])
             node += 1
             while e < schedule.shape[0] and schedule[e, 0] == until and schedule[e, 1] == OUTPUT:
-                _answer_kernel(now, output, stores)
+                _answer_kernel(now, output, index.time_offset, stores)
                 output += 1
                 e += 1
 
@@ -324,6 +330,7 @@ class ForwardRun(SessionState):
             np.empty((m, shown + 1)),
             np.empty((m, 9, 9)),
             np.empty((m, shown - 9)),
+            np.empty((m, 9)),
             empty((len(at), 2, n + 1)),
             empty((len(at), 2, n, n)),
             empty((len(at), n, n)),
@@ -363,19 +370,20 @@ class ForwardRun(SessionState):
         numbers, marks = log.numbers[:, :count], log.marks[:, :count]
         wanted = schedule.output_t
         t = schedule.advance(plan)
-        state, cov, variance = stores[:3]
+        state, cov, variance, offset = stores[:4]
         rows = np.searchsorted(t, wanted[plan.outputs])
         add_arm(cov, self.antenna_b)
         events = schedule.events + refusals(numbers[0], marks, names, refused, last=schedule.last)
         answered = t if len(t) == m else t[rows]
-        events += self.bound.end_answers(answered, state, cov, variance, every=True)
+        events += self.bound.end_answers(answered, state, cov, variance, offset, every=True)
         if len(t) != m:
-            state, cov, variance = (spread(one, rows, len(t)) for one in stores[:3])
+            state, cov, variance, offset = (spread(one, rows, len(t)) for one in stores[:4])
         schedule.events = []
         node = np.full(len(t), -1)
         if keep:
             outputs = entries[entries[:, 1] == OUTPUT, 0]
             node[rows] = np.searchsorted(at, outputs)
-        nodes = Nodes(model.layout, steps.t[at], *stores[3:], node)
+        nodes = Nodes(model.layout, steps.t[at], *stores[4:], node)
         table = innovations(SENSORS, numbers, marks)
-        return answers(t, model.layout, state, cov, variance, table, Events.from_rows(events)), nodes
+        late = offset if model.index.time_offset >= 0 else None
+        return answers(t, model.layout, state, cov, variance, table, Events.from_rows(events), late), nodes

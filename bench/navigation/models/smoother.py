@@ -27,7 +27,7 @@ from bench.core.mathematics.arrays import FloatArray, IntArray
 from bench.core.records.data import Events, InitialState, NavSolution, SensorData, no_innovations
 from bench.core.records.sensor_specs import AssumedSpecs
 from bench.navigation.engine.piecewise import JoinedSolution, KnowsImuErrors
-from bench.navigation.error_state_filter.answers import answers, spread
+from bench.navigation.error_state_filter.answers import answers, offset_rows, spread
 from bench.navigation.error_state_filter.corrections import reset_kernel
 from bench.navigation.error_state_filter.error_state import (
     PHI,
@@ -115,10 +115,12 @@ def _answer(t: FloatArray, nodes: Nodes, antenna_b: FloatArray) -> NavSolution:
     shown = first_of_satellites(index_of(nodes.layout), nodes.layout.size)
     state, cov = nodes.state[at, 1, : shown + 1], nodes.P[at, 1, :9, :9]
     variance = np.einsum("kii->ki", nodes.P[:, 1])[at, 9:shown]
+    offset = offset_rows(nodes.layout, nodes.P[:, 1])
+    offset = None if offset is None else spread(offset[at], rows, len(t))
     if len(rows) != len(t):
         state, cov, variance = (spread(one, rows, len(t)) for one in (state, cov, variance))
     add_arm(cov, antenna_b)
-    return answers(t, nodes.layout, state, cov, variance, no_innovations(), Events.from_rows([]))
+    return answers(t, nodes.layout, state, cov, variance, no_innovations(), Events.from_rows([]), offset)
 
 
 class SmootherWork(NamedTuple):

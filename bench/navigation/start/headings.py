@@ -25,6 +25,7 @@ from bench.core.mathematics import rotation
 from bench.core.mathematics.arrays import BoolArray, FloatArray, IntArray
 from bench.core.mathematics.earth import EARTH_RATE, difference_n
 from bench.core.records.data import (
+    TIME_OFFSET,
     EventRow,
     Events,
     InitialState,
@@ -297,6 +298,8 @@ def _combine(members: list[NavSolution], weight: FloatArray, leader: IntArray) -
 
     values = {name: led(name) for name in ("lla", "vel_n", "q_nb", "gyro_bias_b", "accel_bias_b", "extra")}
     cov, variance = np.zeros((len(rows), 9, 9)), np.zeros_like(values["extra"])
+    clock = [k for k, name in enumerate(members[0].extra_names) if name == TIME_OFFSET]
+    offset = np.zeros((len(rows), 9)) if clock else None
     for member, w in zip(members, weight, strict=True):
         d = np.empty((len(rows), 9))
         d[:, POS:VEL] = difference_n(values["lla"], member.lla)
@@ -309,7 +312,10 @@ def _combine(members: list[NavSolution], weight: FloatArray, leader: IntArray) -
         apart = values["extra"] - member.extra
         cov += np.where(w > 0, w, 0.0)[:, None, None] * np.where(w[:, None, None] > 0, square, 0.0)
         variance += np.where(w[:, None] > 0, w[:, None] * (member.extra_sd**2 + apart**2), 0.0)
-    found: dict[str, Any] = {**values, "cov": cov, "extra_sd": np.sqrt(variance)}
+        if offset is not None and member.offset_cov is not None:
+            own = np.einsum("kij,kj->ki", J, member.offset_cov) + d * apart[:, clock]
+            offset += np.where(w[:, None] > 0, w[:, None] * own, 0.0)
+    found: dict[str, Any] = {**values, "cov": cov, "extra_sd": np.sqrt(variance), "offset_cov": offset}
     return replace(members[0], **found, events=Events.from_rows([]))
 
 
