@@ -8,14 +8,20 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy import stats
 from scipy.integrate import solve_ivp
 
+from bench import pipeline
 from bench.core.mathematics import rotation
 from bench.core.mathematics.units import DEG, STANDARD_GRAVITY
 from bench.core.records.sensor_specs import AssumedSpecs
 from bench.evaluation.linear import drift_laws
 from bench.evaluation.linear.drift_laws import RADIUS, RAYLEIGH_MEDIAN, drift_sd
 from bench.evaluation.metrics.outages import OutageDrift, describe_drift, make_drift_row, place_outages
+from bench.evaluation.metrics.run_metrics import measure
+from bench.experiments.campaigns.worker import fly, get_truth
+from bench.experiments.studies.outage_study.outage_drift import Options, make_profile
+from bench.io import results
 from tests.weaving import GNSS, IMU
 
 QUIET = replace(
@@ -124,6 +130,36 @@ def test_the_law_of_an_outage_is_that_of_a_calibrated_imu_and_the_wander_of_the_
     assert drift_laws.outage_law("rms", fixed) == {"1": pytest.approx(np.sqrt(2.0) * sd, rel=1e-4)}
     assert drift_laws.outage_law("rms", case(nis=("baro",))) == {}
     assert drift_laws.outage_law("rms", case(nis=("gnss_position",), assumed=False)) == {}
+
+
+def test_the_law_of_an_outage_is_what_the_filter_reports_if_that_is_more():
+    """Growth of the mean variance of two axes from the first epoch in the outage to the last; NaN is none."""
+    law = drift_laws.outage_law("rms", case(nis=("gnss_position",)))["1"]
+    for last, expected in (((50.0, 70.0), np.hypot(50.0, 70.0)), ((np.nan, 70.0), law), ((3.1, 3.1), law)):
+        one = case(nis=("gnss_position",), sd=3.0)
+        one.sd[79, :2] = last
+        expected = expected if expected == law else np.sqrt(expected**2 - 2.0 * 3.0**2)
+        assert drift_laws.outage_law("rms", one) == {"1": pytest.approx(expected)}
+        limit = drift_laws.outage_law("95", one)["1"]
+        assert limit == pytest.approx(np.sqrt(np.log(20.0)) * expected)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("phase", ["straight", "turn"])
+def test_drifts_after_fixes_of_satellites_stay_below_their_limit(phase):
+    """200 runs with `[sky]`: not more beyond the 95 % limit than a binomial gives once in 1000 times."""
+    options = Options(units=("adis16475",), phases=(phase,), gnss="sky-l1")
+    profile = make_profile(options, "adis16475", phase, 30.0)
+    fly(profile)
+    truth, beyond = get_truth(results.truth_key(profile.flight), profile), 0
+    told = {"evaluation": profile.evaluation, "outages": profile.sensors.gnss_outages}
+    for run in range(200):
+        sensed = pipeline.sense(profile, truth, run)
+        solution = pipeline.navigate(profile.estimators[0], sensed.data, sensed.initial)
+        assumed = profile.sensors.assumed
+        _, values = measure(truth, solution, data=sensed.data, assumed=assumed, **told)
+        beyond += values["outage_1_growth_h_m"] > values["outage_1_predicted_95_h_m"]
+    assert beyond <= stats.binom.ppf(0.999, 200, 0.05)
 
 
 def test_the_law_of_a_run_without_fixes_begins_with_what_is_claimed():

@@ -300,7 +300,7 @@ def test_a_drift_is_told_where_everything_of_it_is_known():
     outage["outage_2_predicted_95_h_m"] = 70.0
     (told,) = judge_drift("x", {**outage, "other_predicted_95_h_m": 1.0})
     assert told == (
-        "x, outage 2: the error moved by 30.0 m and ended at 20.0 m; its datasheets give 40.0 m rms, "
+        "x, outage 2: the error moved by 30.0 m and ended at 20.0 m; predicted: 40.0 m rms, "
         "70.0 m at 95 %: normal."
     )
     free = {"inertial_end_h_m": 80.0, "inertial_predicted_rms_h_m": 40.0, "inertial_predicted_95_h_m": 70.0}

@@ -321,7 +321,7 @@ def judge_drift(label: str, values: Mapping[str, Any]) -> list[str]:
             if grown is not None and end is not None and law is not None and most is not None:
                 found.append(
                     f"{label}, outage {number}: the error moved by {format_distance(grown)} and ended at "
-                    f"{format_distance(end)}; its datasheets give {format_distance(law)} rms, "
+                    f"{format_distance(end)}; predicted: {format_distance(law)} rms, "
                     f"{format_distance(most)} at 95 %: {compare_drift(grown, most)}."
                 )
     end, law, most = (values.get(f"inertial_{key}_h_m") for key in ("end", "predicted_rms", "predicted_95"))

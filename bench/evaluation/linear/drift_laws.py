@@ -172,10 +172,11 @@ def outage_growth(case: Case) -> dict[str, float]:
 
 
 def outage_law(radius: Literal["rms", "95"], case: Case) -> Mapping[str, float | None]:
-    """Growth in each outage that the datasheets give [m]: root mean square, and the 95 % radius.
+    """Growth in each outage by datasheets, or by the covariance if more [m]: rms and 95 % radius.
 
     From the datasheet of the IMU, with a perfect start but for the slow velocity error of the receiver, which
-    no filter tells from the motion.
+    no filter tells from the motion; or the growth that the filter reports, if that is more: no flight shows
+    every bias and tilt before an outage.
     """
     if case.assumed is None or _is_unaided(case):
         return {}
@@ -184,7 +185,9 @@ def outage_law(radius: Literal["rms", "95"], case: Case) -> Mapping[str, float |
     found: dict[str, float | None] = {}
     for key, (first, last) in find_outage_rows(case).items():
         T, heading = float(case.t[last] - case.t[first]), headings(case, first, last)
-        found[key] = _radii(drift_sd(T, case.assumed.imu, heading=heading, velocity=velocity))[radius]
+        law = drift_sd(T, case.assumed.imu, heading=heading, velocity=velocity)
+        begin, end = np.square(case.sd[[first, last], :2]).mean(axis=1)
+        found[key] = _radii(math.sqrt(np.fmax(law**2, end - begin)))[radius]
     return found
 
 

@@ -46,7 +46,7 @@ _COVERAGE = "output_coverage"  # shown if it is not 1 for every filter
 
 MEANING = (
     "! outside its bounds, which stand beside or below: the range of a consistent filter in one run (NEES, "
-    "NIS 99.9 %, coverage 99.5 %), or the 95 % radius of the drift that the datasheets give. Errors of one "
+    "NIS 99.9 %, coverage 99.5 %), or the 95 % radius of the predicted drift. Errors of one "
     "run change slowly: it holds few independent values, so its bounds are wide; many runs narrow them."
 )
 _ROWS = {
