@@ -172,3 +172,9 @@ def is_class(use: str) -> bool:
 def takes_option(use: str, name: str) -> bool:
     """Return whether a built-in filter has an option that a profile may set."""
     return use in BUILT_IN and name in BUILT_IN[use].options.model_fields and name not in BUILT_IN[use].fixed
+
+
+def takes_offset(use: str, built: Estimator) -> bool:
+    """Return whether a built-in filter, as ``built``, can estimate the clock offset of fixes."""
+    options: Any = getattr(built, "options", None)
+    return takes_option(use, "time_offset_sd") and options.gnss and not options.tight

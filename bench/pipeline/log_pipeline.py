@@ -46,6 +46,8 @@ from bench.pipeline.steps import build_estimator, collect_printed, find_worked, 
 
 REPORTED = "fix_accuracy"
 """Option that logs whose fixes come with standard deviations set to "reported"."""
+OFFSET, OFFSET_SD = "time_offset_sd", 0.1
+"""Option that logs without a time_offset_s set, to this [s]: autopilots assume delays of 0.1 to 0.2 s."""
 CUTS = (10.0, 30.0, 60.0)
 """Lengths of the outages that are simulated where a recording is long enough [s]."""
 _WHOLE = 0.8  # share of an outage after which its last sound fix evaluates it [1]
@@ -132,14 +134,21 @@ def read_log(
         checks = [check for check in checks if check.name != "forward_yaw_deg"]
     if records.assumed:
         checks.append(Check("gnss_origin", None, records.assumed, False))
-    if records.reported:  # every fix is as good as it says, unless the log asks for something else
-        weighing = {label for label, choice in choices.items() if built_in.takes_option(choice.use, REPORTED)}
-        for label in weighing:
-            choice = choices[label]
-            options = {REPORTED: "reported", **choice.options}
-            built[label] = build_estimator(replace(choice, options=options))
-        if weighing and records.fixes.valid.any():
-            checks.append(validity.describe_accuracy(records.fixes, records.reported))
+    weighing = {label for label, one in choices.items() if built_in.takes_option(one.use, REPORTED)}
+    weighing = weighing if records.reported else set()  # every fix is as good as it says
+    timing = {label for label, one in choices.items() if built_in.takes_offset(one.use, built[label])}
+    if spec.clock_given or spec.reference is not None:  # a reference may have either clock
+        timing = set()
+    for label in weighing | timing:
+        defaults = ({REPORTED: "reported"} if label in weighing else {}) | (
+            {OFFSET: OFFSET_SD} if label in timing else {}
+        )
+        choice = choices[label]
+        built[label] = build_estimator(replace(choice, options={**defaults, **choice.options}))
+    if any(OFFSET not in choices[label].options for label in timing):
+        checks.append(validity.describe_offset(OFFSET_SD))
+    if weighing and records.fixes.valid.any():
+        checks.append(validity.describe_accuracy(records.fixes, records.reported))
     if spec.vibration:
         imu, found = assume_vibration(spec.assumed.imu, records.imu)
         spec = replace(spec, assumed=replace(spec.assumed, imu=imu))

@@ -5,10 +5,13 @@ H is held against the filter's own prediction in `test_linearization`.
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from scipy import stats
 
@@ -19,9 +22,10 @@ from bench.io.config.log import load_log
 from bench.io.logs.log_records import read_records
 from bench.navigation.built_in import load
 from bench.navigation.error_state_filter.state_blocks import CLOCK_WALK
-from bench.pipeline.log_pipeline import Session, find_start
+from bench.pipeline.log_pipeline import OFFSET_SD, Session, find_start, navigate, read_log
 from bench.simulation import sensors
 from tests.builders import put
+from tests.exchange import drives
 from tests.weaving import GNSS, units, weaving
 
 SD = 0.1
@@ -97,6 +101,77 @@ def test_withheld_fixes_are_compared_at_the_time_that_the_filter_estimates(truth
         along += (errors.pos_n[0] @ course) ** 2 / (course @ moved.cov[0, :3, :3] @ course)
     assert stats.chi2.isf(0.9995, DRAWS) < along < stats.chi2.isf(0.0005, DRAWS)
     assert stats.chi2.isf(0.9995, 6 * DRAWS) < total < stats.chi2.isf(0.0005, 6 * DRAWS)
+
+
+def test_without_acceleration_its_sigma_stays_at_the_prior():
+    """A start by fixes is as late as the fixes: at 25 m/s it shows no offset. 5 %: the walk adds 0.5 %."""
+    straight = weaving(60.0, rate=50.0, straight_from=0.0)
+    for run in range(4):
+        drawn = sensors.sense(straight, replace(units(), output_rate=1.0), 11, run)
+        start = replace(drawn.initial, alignment="course", align_for=10.0, drift_sd=np.deg2rad(2.0))
+        solution = load("loose-15", {"time_offset_sd": SD}).run(drawn.data, start)
+        at = solution.extra_names.index("time_offset_s")
+        np.testing.assert_allclose(solution.extra_sd[20:, at], SD, rtol=0.05)
+        assert (np.abs(solution.extra[20:, at]) < 3.3 * SD).all()
+
+
+def sds_of(path, **how):
+    return {
+        label: getattr(getattr(one, "options", None), "time_offset_sd", None)
+        for label, one in read_log(path, **how).estimators.items()
+    }
+
+
+def test_logs_estimate_the_clock_unless_it_is_given(tmp_path):
+    """By every filter that can; a sigma that is given counts, and a reference may have either clock."""
+    uses = ["loose-full", "smoother", "free-inertial", "gnss-only"]
+    rows = "".join(f'[[estimator]]\nuse = "{use}"\n' for use in uses)
+    path = drives.write_log(tmp_path, drives.LOG + rows)
+    assert sds_of(path) == {
+        "loose-full": OFFSET_SD, "smoother": OFFSET_SD, "free-inertial": 0.0, "gnss-only": None
+    }  # fmt: skip
+    (told,) = [one for one in read_log(path).checks if one.name == "time_offset_sd_s"]
+    assert told.good
+    assert "clock offset of its fixes, sigma 0.1 s at the start; time_offset_s in [imu]" in told.text
+    for key in ("imu.time_offset_s", "gnss.time_offset_s"):
+        given = {"overrides": {key: 0.0}}
+        assert set(sds_of(path, **given).values()) == {0.0, None}
+        assert "time_offset_sd_s" not in {one.name for one in read_log(path, **given).checks}
+    for sd in (0.0, 0.02):
+        assert sds_of(path, overrides={"estimator.1.options.time_offset_sd": sd})["loose-full"] == sd
+
+
+@pytest.fixture(scope="module")
+def typed():
+    """Errors at the end of cuts of the shipped drive, its clock as the log gives it."""
+    return cut(read_log(str(DRIVE), estimators=["loose-15"]))
+
+
+def cut(log):
+    """Return root mean square and 95 % of the drift [m] by length of the cut [s]."""
+    rows = navigate(log, outages=[10.0, 30.0, 60.0]).more["outages"]
+    return {row["duration_s"]: np.array([row["rms_h_m"], row["p95_h_m"]]) for row in rows}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("late", [0.02, 0.073, 0.15])
+def test_a_drive_whose_clock_is_wrong_drifts_no_more_than_with_the_clock_given(typed, tmp_path, late):
+    """Within 5 %, as the log without any clock and fixes that are told later. The cuts move with the fixes.
+
+    It may drift less: the clocks of the drive drift apart by 0.09 s, which a fixed offset does not follow.
+    """
+    for name, shift in (("imu", -0.2), ("gnss", late)):
+        table = pq.read_table(DRIVE.parent / f"{name}.parquet")
+        t = pa.array(table["t_us"].to_numpy() + round(1e6 * shift))
+        table = table.set_column(table.column_names.index("t_us"), "t_us", t)
+        pq.write_table(table, tmp_path / f"{name}.parquet")
+    text = DRIVE.read_text(encoding="utf-8").replace("time_offset_s = -0.2\n", "")
+    text = text.replace("from_s = 70.0", f"from_s = {70.0 + late}")
+    (tmp_path / "drive.toml").write_text(text, encoding="utf-8")
+    shutil.copy(DRIVE.parent / "icm-45686-driving.toml", tmp_path)
+    log = read_log(str(tmp_path / "drive.toml"), estimators=["loose-15"])
+    for duration, drift in cut(log).items():
+        assert (drift < 1.05 * typed[duration]).all(), duration
 
 
 def test_it_needs_fixes():

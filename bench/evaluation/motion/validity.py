@@ -169,6 +169,15 @@ def describe_accuracy(fixes: GnssFixes, reported: str) -> Check:
     return Check("fix_accuracy_m", float(median), text, True)
 
 
+def describe_offset(sd: float) -> Check:
+    """Return a check that always passes, with a message on the clock of fixes, estimated from ``sd`` [s]."""
+    text = (
+        f"gnss: filters estimate the clock offset of its fixes, sigma {sd:g} s at the start; "
+        "time_offset_s in [imu] or [gnss] fixes the offset"
+    )
+    return Check("time_offset_sd_s", sd, text, True)
+
+
 def check_reach(imu: ImuData, fixes: GnssFixes) -> list[Check]:
     """Check for fixes to which the IMU does not lead; they evaluate no filter."""
     wrong = np.flatnonzero(~find_reachable(imu, fixes))

@@ -102,6 +102,7 @@ class LogSpec:
     misalignment: tuple[float, float, float]  # remaining rotation after the mounting, in b [rad]
     antenna_b: tuple[float, float, float]  # relative to the IMU [m], b
     velocity_offset: float  # time of the velocity minus time of the fix [s]
+    clock_given: bool  # the log contains a time_offset_s of IMU or receiver
     velocity_sd: float | None  # of the velocity along each axis [m/s]; None: as the file or datasheet says
     quality: tuple[int, ...]  # of the fixes to use; empty: all
     quality_sd: Mapping[int, float]  # by class of quality: of each axis of a fix [m]; empty: not told
@@ -263,6 +264,7 @@ def _make_spec(
         misalignment=_to_radians(table.imu.misalignment_deg),
         antenna_b=from_imu(gnss_at),
         velocity_offset=float(table.gnss.velocity_offset_s) if table.gnss else 0.0,
+        clock_given=any(one and "time_offset_s" in one.model_fields_set for one in (table.imu, table.gnss)),
         velocity_sd=velocity_sd,
         quality=table.gnss.quality if table.gnss else (),
         quality_sd=_read_classes(table.gnss.quality_sd_m if table.gnss else {}, file),

@@ -165,7 +165,10 @@ def state_model(
         own = layout.slice("gnss_pos")
         P[:3, own], P[own, :3] = -np.diag(initial.fix_cov), -np.diag(initial.fix_cov)
     if layout.has("time_offset"):  # a start by fixes is that of another time
-        variance = P[layout.slice("time_offset"), layout.slice("time_offset")][0, 0]
+        at = layout.slice("time_offset").start
+        variance = P[at, at]
+        if initial.bias_cov.any():  # by an alignment on fixes, whose positions stay known
+            P[:3, at] = P[at, :3] = -variance * initial.vel_n
         P[:3, :3] += variance * np.outer(initial.vel_n, initial.vel_n)
         P[3:6, 3:6] += variance * TURNING**2 * np.eye(3)
     table = np.array(sorted(drives, key=_correction_order), np.int64).reshape(-1, 3)
