@@ -34,9 +34,7 @@ from bench.navigation.error_state_filter.corrections import (
     reset_kernel,
     turn_rows_kernel,
 )
-from bench.navigation.error_state_filter.error_state import (
-    feedback_kernel,
-)
+from bench.navigation.error_state_filter.error_state import PHI, feedback_kernel
 from bench.navigation.error_state_filter.measurement_rows import (
     ABSENT,
     POSITION,
@@ -48,7 +46,15 @@ from bench.navigation.error_state_filter.measurement_rows import (
     tells_heading_kernel,
 )
 from bench.navigation.error_state_filter.propagation import FilterState, Pending, UpdateWork
-from bench.navigation.error_state_filter.rough_heading import blind_kernel
+from bench.navigation.error_state_filter.rough_heading import (
+    blind_kernel,
+    consider_kernel,
+    drifting_kernel,
+    stands_kernel,
+    swing_kernel,
+    vague_kernel,
+)
+from bench.navigation.mechanization import matrix_kernel
 
 
 class Gate(NamedTuple):
@@ -109,6 +115,9 @@ def use_kernel(
     P, dx, n, trust = now.P, now.dx, now.P.shape[0], gate.trust
     if not tells_heading_kernel(pending.tags[first, 0]):
         blind_kernel(now.state, P, pending.H[first : first + rows])
+    of_gnss = pending.tags[first, 0] in (ABSENT, POSITION, VELOCITY, PSEUDORANGE, RANGE_RATE)
+    vague = of_gnss and vague_kernel(P)
+    considers = vague and drifting_kernel(now.state, P, work.considered) and stands_kernel(now.state, P)
     a, drifted, moves, ranges_agree, rates_agree = first, False, True, False, False
     late, waits = work.late, 0
     satellites: int = gate.opens.shape[0]
@@ -170,7 +179,7 @@ def use_kernel(
             component = pending.tags[a + b, 2]
             note_kernel(t, code, channel, component, e[b], work.var[b], nis, verdict != REFUSED, log)
         if verdict != REFUSED and verdict != SOUND:
-            waits = settle_kernel(P, late, waits)
+            waits, considers = settle_kernel(P, late, waits), False
             if verdict == DRIFTED:
                 stretch_kernel(P, H, work.square, work.row)
             elif code in (PSEUDORANGE, RANGE_RATE):
@@ -185,6 +194,8 @@ def use_kernel(
             gate.level[code] = max(level + gate.memory * (excess - level), 0.01)
         a += m
     settle_kernel(P, late, waits)
+    if considers:
+        consider_kernel(P, dx, work.considered)
     for slot in range(pending.live.shape[0]):  # rows that wait were measured before this correction
         for b in range(slot * pending.width, slot * pending.width + pending.live[slot]):
             for i in range(n):
@@ -197,4 +208,12 @@ def use_kernel(
             wait = pending.H[slot * pending.width : slot * pending.width + pending.live[slot]]
             turn_rows_kernel(wait, work.turn, work.drives, work.factor)
             refer_rows_kernel(wait, work.drives, work.row)
-    feedback_kernel(now.state, dx)
+    if vague and pending.tags[first, 0] == POSITION and rows > 3:
+        for i in range(3):
+            work.axes[2, 0, i] = dx[PHI + i]
+        matrix_kernel(now.state, work.axes[0])
+        feedback_kernel(now.state, dx)
+        matrix_kernel(now.state, work.axes[1])
+        swing_kernel(pending.H[first : first + 6], work.axes[0], work.axes[1], work.axes[2], now.state, P)
+    else:
+        feedback_kernel(now.state, dx)

@@ -13,6 +13,7 @@ import numpy as np
 from bench.core.compilation.compiled import inner, kernel
 from bench.core.mathematics.arrays import BoolArray, FloatArray
 from bench.core.mathematics.earth import EARTH_RATE, radii_kernel
+from bench.navigation.error_state_filter.error_state import GYRO
 
 WIDE = float(np.deg2rad(30.0))  # sd of a heading from which on one linear filter is not enough [rad]
 UNKNOWN_HEADING_SD = float(np.pi / np.sqrt(3.0))  # a heading anywhere from -180 to 180 deg [rad]
@@ -24,7 +25,7 @@ _VEL_SD = 1.0  # a velocity known worse than this tells nothing of standing [m/s
 
 
 @inner
-def _stands_kernel(state: FloatArray, P: FloatArray) -> bool:
+def stands_kernel(state: FloatArray, P: FloatArray) -> bool:
     """Return whether the horizontal velocity may be zero."""
     variance = P[3, 3] + P[4, 4]
     speed2 = state[3] * state[3] + state[4] * state[4]
@@ -123,7 +124,7 @@ def stand_kernel(state: FloatArray, T: float, P: FloatArray, F: FloatArray, nois
     that loses it. The tilts turn with the heading, at a rate as unknown as the bias about the vertical, and
     so forget themselves in the time of a turn by a radian.
     """
-    if not (P[8, 8] > _ROUGH**2 and _stands_kernel(state, P)):
+    if not (P[8, 8] > _ROUGH**2 and stands_kernel(state, P)):
         return False
     F[3, 8], F[4, 8] = 0.0, 0.0
     lost = bool(P[8, 8] > WIDE**2)
@@ -141,7 +142,7 @@ def stand_kernel(state: FloatArray, T: float, P: FloatArray, F: FloatArray, nois
 @inner
 def heading_lost_kernel(state: FloatArray, P: FloatArray) -> bool:
     """Return whether the heading is unknown and the vehicle moves: a linear filter may find a wrong one."""
-    return bool(P[8, 8] > WIDE**2 and not _stands_kernel(state, P))
+    return bool(P[8, 8] > WIDE**2 and not stands_kernel(state, P))
 
 
 @kernel
@@ -150,9 +151,117 @@ def blind_kernel(state: FloatArray, P: FloatArray, H: FloatArray) -> None:
 
     The lever arm does not observe it: position is antenna less arm at the present heading (:func:`add_arm`).
     """
-    if P[8, 8] > WIDE**2 and _stands_kernel(state, P):
+    if P[8, 8] > WIDE**2 and stands_kernel(state, P):
         for a in range(H.shape[0]):
             H[a, 8] = 0.0
+
+
+@inner
+def vague_kernel(P: FloatArray) -> bool:
+    """Return whether the heading is so uncertain that each correction of it changes what fixes tell."""
+    return bool(P[8, 8] > _ROUGH**2)
+
+
+@inner
+def drifting_kernel(state: FloatArray, P: FloatArray, kept: FloatArray) -> bool:
+    """Return whether the heading drifts by an unknown rate above that of the Earth.
+
+    Fill kept (6,) for :func:`consider_kernel`: the vertical in b, and the covariance of heading and rate.
+    """
+    w, p, q, r = state[6], state[7], state[8], state[9]
+    kept[0], kept[1], kept[2] = 2.0 * (p * r - w * q), 2.0 * (q * r + w * p), 1.0 - 2.0 * (p * p + q * q)
+    kept[3], kept[4], kept[5] = P[8, 8], 0.0, 0.0
+    for i in range(3):
+        kept[4] += kept[i] * P[8, GYRO + i]
+        for j in range(3):
+            kept[5] += kept[i] * P[GYRO + i, GYRO + j] * kept[j]
+    return bool(kept[5] > EARTH_RATE**2)
+
+
+@inner
+def consider_kernel(P: FloatArray, dx: FloatArray, kept: FloatArray) -> None:
+    """Take an update of heading and gyro bias about the vertical back from P (n, n) and dx (n,) (Schmidt).
+
+    Their own covariance is that before the update; those with the other states are what the update left:
+    the covariance of an update whose gain leaves both out.
+    """
+    part, both, rate = 0.0, 0.0, 0.0
+    for i in range(3):
+        part += kept[i] * dx[GYRO + i]
+        both += kept[i] * P[8, GYRO + i]
+        for j in range(3):
+            rate += kept[i] * P[GYRO + i, GYRO + j] * kept[j]
+    dx[8] = 0.0
+    P[8, 8] = kept[3]
+    for i in range(3):
+        dx[GYRO + i] -= kept[i] * part
+        P[8, GYRO + i] += kept[i] * (kept[4] - both)
+        P[GYRO + i, 8] = P[8, GYRO + i]
+        for j in range(3):
+            P[GYRO + i, GYRO + j] += kept[i] * kept[j] * (kept[5] - rate)
+
+
+@kernel
+def swing_kernel(
+    H: FloatArray, before: FloatArray, after: FloatArray, work: FloatArray, state: FloatArray, P: FloatArray
+) -> None:
+    """Swing the IMU about the antenna of a fix whose update has turned the attitude.
+
+    A fix measures the antenna. The antenna stays where the linear update put it: a filter state (n + 1,)
+    takes what is beyond the first order, and in P (n, n) the errors of position and velocity become those of
+    the antenna less the arm as it points now. Otherwise each turn of a vague heading seems to measure it.
+
+    H (6, n) are the rows of the fix, before and after (3, 3) are C_nb around the feedback, and ``work[0]``
+    the angles phi (3,) fed back [rad]; the rest of work (3, 3) is memory.
+    """
+    s, c = np.sin(state[0]), np.cos(state[0])
+    meridian, prime = radii_kernel(s)
+    phi, arm, moved = work[0], work[1], work[2]
+    for block in (0, 3):
+        arm[0], arm[1], arm[2] = H[block + 1, 8], -H[block, 8], H[block, 7]  # or its velocity
+        _turn_kernel(before, after, arm, moved)
+        x, y, z, d, e, f = arm[0], arm[1], arm[2], moved[0], moved[1], moved[2]
+        more_n = y * phi[2] - z * phi[1] - d
+        more_e = z * phi[0] - x * phi[2] - e
+        more_d = x * phi[1] - y * phi[0] - f
+        if block == 0:
+            state[0] += more_n / (meridian + state[2])
+            state[1] += more_e / ((prime + state[2]) * c)
+            state[2] -= more_d
+        else:
+            state[3] += more_n
+            state[4] += more_e
+            state[5] += more_d
+        _shear_kernel(P, block, 6, 0.0, -f, e)
+        _shear_kernel(P, block, 7, f, 0.0, -d)
+        _shear_kernel(P, block, 8, -e, d, 0.0)
+    for axis in range(9, 12):
+        for i in range(3):
+            arm[i] = H[3 + i, axis]
+        _turn_kernel(before, after, arm, moved)
+        _shear_kernel(P, 3, axis, moved[0], moved[1], moved[2])
+
+
+@inner
+def _turn_kernel(before: FloatArray, after: FloatArray, arm: FloatArray, moved: FloatArray) -> None:
+    """Fill moved (3,) with the change of a vector of the body, arm (3,) in n before, by a turn."""
+    for i in range(3):
+        moved[i] = -arm[i]
+        for k in range(3):
+            moved[i] += after[i, k] * (before[0, k] * arm[0] + before[1, k] * arm[1] + before[2, k] * arm[2])
+
+
+@inner
+def _shear_kernel(P: FloatArray, block: int, at: int, d: float, e: float, f: float) -> None:
+    """Subtract (d, e, f) times the error ``at`` from the three errors of a block, in P (n, n)."""
+    for k in range(P.shape[0]):
+        P[block, k] -= d * P[at, k]
+        P[block + 1, k] -= e * P[at, k]
+        P[block + 2, k] -= f * P[at, k]
+    for k in range(P.shape[0]):
+        P[k, block] -= d * P[k, at]
+        P[k, block + 1] -= e * P[k, at]
+        P[k, block + 2] -= f * P[k, at]
 
 
 @inner

@@ -204,16 +204,15 @@ def _feel_gravity(initial: InitialState) -> FloatArray:
 def _relate_attitude(
     P: FloatArray, drives: IntArray, imu: ImuSpec, warmth: float, initial: InitialState
 ) -> None:
-    """Add to P (n, n) what an aligned attitude has in common with states that act like a bias.
+    """Add to P (n, n) what an aligned attitude has in common with states that act like an accelerometer bias.
 
     A tilt compensates whatever the accelerometers err by at rest. Left out are flicker, most of which an
     alignment averages, and errors by the force along an axis itself, which its covariance does not hold.
     """
-    sizes = [t.by_axis("turn_on_bias_sd") ** 2 + t.instability_by_axis**2 for t in (imu.gyro, imu.accel)]
-    size = np.concatenate(sizes)
-    by_error = np.divide(initial.bias_cov, size, out=np.zeros((9, 6)), where=size > 0.0)
+    size = imu.accel.by_axis("turn_on_bias_sd") ** 2 + imu.accel.instability_by_axis**2
+    by_error = np.divide(initial.bias_cov[:, 3:], size, out=np.zeros((9, 3)), where=size > 0.0)
     across = [row for row in drives if row[2] != STEADY and _correction_order(row)[1] != 2]
-    L = steady_rows(np.array(across).reshape(-1, 3), _feel_gravity(initial), warmth, len(P))[:, CORE:]
+    L = steady_rows(np.array(across).reshape(-1, 3), _feel_gravity(initial), warmth, len(P))[3:, CORE:]
     more = by_error @ L @ P[CORE:, CORE:]
     P[:9, CORE:] += more
     P[CORE:, :9] += more.T
