@@ -364,7 +364,7 @@ class Aiding:
 
     def __init__(self, kf, gate_probability, readmit_after_s):
         self.kf, self.sound, self.readmit_after_s = kf, 1 - gate_probability, readmit_after_s
-        self.now, self.refused, self.rows = 0.0, {}, []
+        self.now, self.refused, self.rows, self.jumped = 0.0, {}, [], False
         self.used = {"position": -np.inf, "velocity": -np.inf}
 
     def compare(self, z, H, R):
@@ -381,6 +381,18 @@ class Aiding:
         drifted = place > sound and (speed > sound or (apart and both - place <= sound))
         return drifted, place <= sound and speed <= sound and both - place > sound
 
+    def jumps(self, z, H, R, since):
+        """Whether a fix is off by more than a filter that used one ``since`` [s] drifts in any attitude."""
+        P = self.kf.P[: H.shape[1], : H.shape[1]]
+        e, fall = np.reshape(z, (2, 3)), 2 * 9.80665 * since
+        place, speed = (e**2 / np.diag(H @ P @ H.T + R).reshape(2, 3)).sum(axis=1) / chi2.ppf(self.sound, 3)
+        off, change = np.linalg.norm(e, axis=1)
+        if self.used["position"] == -np.inf:
+            return False
+        if speed > 1:
+            return speed > 4 and change > fall
+        return since >= 10 or (place > 4 and off > (change + fall / 2) * since)
+
     def use(self, name, z, H, R, drifted=False, contradicts=False):
         """Gate one sub-vector of predicted less measured values z (m,), then update error and P."""
         kf, column = self.kf, np.asarray(z).reshape(-1, 1)
@@ -391,14 +403,16 @@ class Aiding:
         nis = (innovation.T @ np.linalg.solve(S, innovation)).item()
         sound = nis <= chi2.ppf(self.sound, len(z)) and not contradicts
         before = self.refused.get(name, [])
-        late = len(before) > 2 and self.now - before[0] > self.readmit_after_s - 1e-6
+        jumped = self.jumped and name in ("position", "velocity")
+        late = len(before) > 2 and self.now - before[0] > self.readmit_after_s * (1 + 2 * jumped) - 1e-6
         accepted = sound or drifted or (late and name in OWN)
         self.refused[name] = [] if accepted else [*before, self.now]
         self.rows.append((nis, accepted))
         if accepted and not sound:  # a step of its own, or an error P had too small
             refused = kf.P @ wide.T @ np.linalg.solve(S, innovation)
-            if name == "baro" and max(map(self.used.get, ("position", "velocity"))) > before[0]:
-                refused[:] = 0.0  # GNSS was used meanwhile: the filter is where it should be
+            held = max(map(self.used.get, ("position", "velocity"))) > before[0]
+            if jumped or (name == "baro" and held):
+                refused[:] = 0.0  # the filter is where it should be: GNSS was used meanwhile, or jumped
             step = np.zeros(kf.dim_x)
             step[OWN[name]] = 0.0 if drifted else innovation[:, 0]
             kf.P = kf.P + refused @ refused.T + np.diag(step**2)
@@ -568,6 +582,8 @@ def navigate(sensors, initial, gate_probability=1e-5, readmit_after_s=10.0, tigh
                 [(place - sensors.fixes.lla[row]) * meters(lla), speed - sensors.fixes.vel_n[row]]
             )
             missed = aiding.refused.get("position", []) + aiding.refused.get("velocity", [])
+            if not missed:
+                aiding.jumped = aiding.jumps(z, H, fix_R, now - used)
             returns = now - used >= 10.0 and not missed
             drifted, contradicts = aiding.compare(z, H, fix_R) if returns or missed else (False, False)
             drifted = drifted and returns

@@ -16,6 +16,7 @@ from bench.navigation.engine.gate import (
     decide_kernel,
     drift_kernel,
     fix_kernel,
+    jumps_kernel,
     moves_kernel,
     new_log,
     new_trust,
@@ -101,6 +102,44 @@ def test_a_receiver_that_recovers_is_believed_ten_seconds_later():
     found = moving(lambda t: -25.0 * min(t, 12), lambda t: 0.0, 40)
     assert not any(found[:20])
     assert all(found[22:])
+
+
+def test_a_burst_that_jumps_is_believed_after_thirty_seconds_and_moves_the_place_alone():
+    """A fix was used before; one that drifts off is believed after ten, and the attitude may be wrong."""
+    for place, speed, wait, verdict in (
+        (80.0, 0.0, 30, STEPPED),
+        (12.0, 0.0, 10, LOST),  # 11.3 m is beyond the gate, twice that is a jump
+        (28.0, 0.4, 30, STEPPED),
+        (28.0, 15.0, 10, LOST),  # twice a free fall of 1 s is 19.6 m/s
+        (0.0, 40.0, 30, STEPPED),
+    ):
+        trust, outcomes = new_trust(2, 0.0), []
+        decide_kernel(1.0, 0, True, False, True, 10.0, 2, trust)
+        decide_kernel(1.0, 1, True, False, True, 10.0, 2, trust)
+        for t in range(2, 40):
+            y = np.array([0.0, place + speed * (t - 2.0), 0.0, 0.0, speed, 0.0])
+            var = np.array([4.0] * 3 + [0.01] * 3)
+            opens = moves_kernel(t + 0.0, y, var, 25.9, 10.0, trust)
+            outcomes.append(decide_kernel(t + 0.0, 0, False, False, opens, 10.0, 2, trust))
+        assert outcomes[:wait] == [REFUSED] * wait
+        assert outcomes[wait] == verdict
+
+
+@pytest.mark.parametrize(
+    ("dt", "position", "velocity", "off", "speed", "jumps"),
+    [
+        (1.0, 101.0, 0.0, 10.0, 0.1, True),
+        (1.0, 99.0, 0.0, 10.0, 0.1, False),  # four times the limit of 25
+        (1.0, 101.0, 0.0, 9.8, 0.1, False),  # a fall of half a g, and the speed
+        (9.9, 101.0, 0.0, 400.0, 0.1, False),
+        (10.0, 30.0, 0.0, 400.0, 0.1, True),  # after an outage
+        (1.0, 0.0, 101.0, 0.0, 19.7, True),
+        (1.0, 1e4, 101.0, 1e4, 19.6, False),
+        (0.1, 0.0, 99.0, 0.0, 19.7, False),
+    ],
+)
+def test_a_fix_jumps_if_no_filter_drifts_as_far(dt, position, velocity, off, speed, jumps):
+    assert jumps_kernel(dt, position, velocity, off, speed, 25.0) is jumps
 
 
 def test_a_gate_in_python_logs_what_it_decides_and_tells_of_refusals():

@@ -5,6 +5,7 @@ Compiled filters call the kernels, filters in Python an :class:`InnovationGate` 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from typing import NamedTuple
 
@@ -12,6 +13,7 @@ import numpy as np
 
 from bench.core.compilation.compiled import inner, kernel
 from bench.core.mathematics.arrays import BoolArray, FloatArray, IntArray
+from bench.core.mathematics.units import STANDARD_GRAVITY
 from bench.core.records.data import EventRow, Innovations, no_innovations
 from bench.navigation.engine.integrity import nis, nis_limit
 from bench.navigation.engine.kalman import nis_kernel
@@ -24,6 +26,8 @@ LEAST_REFUSALS = 3
 """So many measurements of a sensor are rejected before one is re-admitted, however long that takes."""
 NOISIER = 3.0
 """A receiver may be so many times as noisy as its datasheet says and is still re-admitted."""
+JUMPED = 3.0
+"""Fixes that jumped away from those before are rejected so many times as long: most bursts are over then."""
 REFUSED, SOUND, DRIFTED, STEPPED, LOST = range(5)
 """What becomes of a measurement. It is used where it is sound, or tells that the filter drifted while there
 were no fixes, and after long rejections: then the instrument made a step, or the filter itself may be
@@ -46,6 +50,7 @@ class Trust(NamedTuple):
         FloatArray  # (3, 3) of rejected fixes: first innovation of position, integral of velocity's, its last
     )
     way_t: FloatArray  # (2,) epochs of the first, since which they agree, and of the last of them [s]
+    jumped: IntArray  # (1,) 1 if the first of them jumped away from the fixes before (`jumps_kernel`)
 
     def with_channels(self, channels: int, start: float) -> Trust:
         """Return a memory of at least so many channels."""
@@ -61,7 +66,8 @@ class Trust(NamedTuple):
 def new_trust(channels: int, start: float) -> Trust:
     """Return the memory at the start of a record [s]."""
     first = np.full(channels, start)
-    return Trust(np.zeros(channels, np.int64), first, first.copy(), np.zeros((3, 3)), np.full(2, start))
+    none = np.zeros(1, np.int64)
+    return Trust(np.zeros(channels, np.int64), first, first.copy(), np.zeros((3, 3)), np.full(2, start), none)
 
 
 class InnovationLog(NamedTuple):
@@ -138,8 +144,8 @@ def decide_kernel(
     ``sound``: it passes its tests; ``drifted``: it fails by a drift of the filter (:func:`drift_kernel`);
     ``opens``: the filter has states that may have made a step, and can grow for it. After
     ``readmit_after_s`` of nothing but rejections, at least `LEAST_REFUSALS`, it is re-admitted. Where GNSS
-    was used meanwhile another instrument made a step, and the filter is not lost. Channels of satellites
-    begin at ``satellites``.
+    was used meanwhile another instrument made a step, and the filter is not lost; nor is it where fixes
+    jumped. Channels of satellites begin at ``satellites``.
     """
     verdict, waited = REFUSED, t - trust.since[channel]
     if sound:
@@ -147,7 +153,7 @@ def decide_kernel(
     elif drifted:
         verdict = DRIFTED
     elif opens and trust.misses[channel] >= LEAST_REFUSALS and waited >= readmit_after_s - TIME_TOLERANCE:
-        verdict = LOST
+        verdict = STEPPED if channel < 2 and trust.jumped[0] else LOST
         if 2 <= channel < satellites:
             for other in range(trust.used.shape[0]):
                 if (other < 2 or other >= satellites) and trust.used[other] > trust.since[channel]:
@@ -173,10 +179,27 @@ def returns_kernel(t: float, trust: Trust) -> bool:
 
 
 @kernel
+def jumps_kernel(dt: float, position: float, velocity: float, off: float, speed: float, limit: float) -> bool:
+    """Return whether a fix jumped: no filter drifts as far in the time dt [s] since it used the last.
+
+    Of a fix that is rejected, either the position alone is beyond twice the gate, and further off than a
+    wrong attitude takes it; after an `OUTAGE`, whose drift would show in the velocity, it is beyond the gate.
+    Or the velocity is, by more than a wrong attitude makes of gravity: twice a free fall. Given are the NIS
+    of both and their ``limit``, and how far they are ``off`` in place [m] and ``speed`` [m/s].
+    """
+    fall = 2.0 * STANDARD_GRAVITY * dt
+    if velocity > limit:
+        return velocity > 4.0 * limit and speed > fall
+    return dt >= OUTAGE or (position > 4.0 * limit and off > (speed + 0.5 * fall) * dt)
+
+
+@kernel
 def moves_kernel(
     t: float, y: FloatArray, var: FloatArray, limit: float, readmit_after_s: float, trust: Trust
 ) -> bool:
-    """Return whether rejected fixes moved as their velocities for readmit_after_s; remember this fix.
+    """Return whether rejected fixes moved as their velocities for long enough; remember this fix.
+
+    That is readmit_after_s, or `JUMPED` times as long after a jump.
 
     A receiver that is right where the filter is wrong does; one whose output is frozen, or whose position
     alone is pulled away, does not, and is not re-admitted. y (6,) are the innovations of position [m] and
@@ -185,12 +208,22 @@ def moves_kernel(
     """
     first, way, last, at = trust.way[0], trust.way[1], trust.way[2], trust.way_t
     begins, squares = trust.misses[0] + trust.misses[1] == 0, 0.0
+    if trust.misses[0] == 0 and trust.misses[1] > 0 and at[1] < trust.since[1]:
+        begins = True  # the position of the fix before was within its gate, the velocity was not
     if not begins:
         dt, T = t - at[1], t - at[0]
         for i in range(3):
             way[i] += 0.5 * dt * (last[i] + y[3 + i])
             off = y[i] - first[i] - way[i]
             squares += off * off / (2.0 * NOISIER * NOISIER * var[i] + T * T * var[3 + i])
+    if begins:
+        position, velocity, off, speed = 0.0, 0.0, 0.0, 0.0
+        for i in range(3):
+            position, velocity = position + y[i] ** 2 / var[i], velocity + y[3 + i] ** 2 / var[3 + i]
+            off, speed = off + y[i] ** 2, speed + y[3 + i] ** 2
+        dt = t - min(trust.used[0], trust.used[1])
+        jumps = jumps_kernel(dt, position, velocity, math.sqrt(off), math.sqrt(speed), limit)
+        trust.jumped[0] = jumps and trust.used[0] > trust.since[0]  # one that never used a fix may be wrong
     if begins or not squares <= limit:
         at[0] = t
         for i in range(3):
@@ -198,6 +231,8 @@ def moves_kernel(
     at[1] = t
     for i in range(3):
         last[i] = y[3 + i]
+    if trust.jumped[0]:
+        readmit_after_s *= JUMPED
     return bool(t - at[0] >= readmit_after_s - TIME_TOLERANCE)
 
 

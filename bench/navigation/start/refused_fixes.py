@@ -4,27 +4,33 @@ The gate re-admits rejected fixes after a while (`engine.gate`) and opens positi
 Where the attitude is lost that is no help: the filter drifts off again, and rejects the next. What tells a
 lost filter from a receiver that errs are the fixes alone. Those of a frozen receiver, of one whose position
 is pulled away and of one in a burst of noise move otherwise than their velocities (`velocity_consistency`).
-Whoever spoofs position and velocity alike passes, as at the gate.
+Whoever spoofs position and velocity alike passes, as at the gate, if the first of such fixes did not jump: a
+filter drifts away from the fixes, it does not jump off (`gate.jumps_kernel`).
 """
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
-from bench.core.mathematics.arrays import BoolArray, FloatArray
+from bench.core.mathematics.arrays import BoolArray, FloatArray, IntArray
 from bench.core.records.data import GnssFixes, Innovations
 from bench.core.records.sensor_specs import GnssSpec
+from bench.navigation.engine.gate import jumps_kernel
+from bench.navigation.engine.integrity import nis_limit
 from bench.navigation.engine.kept_rows import join_rows
 from bench.navigation.engine.session import Kept, Replaced, SessionState
 from bench.navigation.engine.timeline import TIME_TOLERANCE
 from bench.navigation.engine.velocity_consistency import WINDOWS, MovedFixes
 from bench.navigation.error_state_filter.aiding_sensors import fix_variance, weigh_fixes
-from bench.navigation.error_state_filter.measurement_rows import POSITION, SENSORS
+from bench.navigation.error_state_filter.measurement_rows import POSITION, SENSORS, VELOCITY
 from bench.navigation.options import FixAccuracy
 
 SHARE = 0.75
 """Part of the time of a window in which positions are rejected."""
 _FEWEST = 10  # fixes in a window; none stands for more than a tenth of its time
+_AFTER_JUMP = 3.0  # windows after fixes jumped in which no filter counts as lost
 _FALSE_ALARM = 1e-5  # chance that a sound fix counts as one that does not agree
 
 
@@ -41,6 +47,7 @@ class RefusedFixes(SessionState):
     _refused: Replaced[BoolArray]  # (K,)
     _begun: Kept[float]  # first verdict [s]
     _next: Kept[float]  # before it the fixes are not looked at again [s]
+    _used: Kept[float]  # last fix that was used; -inf: it was rejected, or there was none [s]
 
     def __init__(self, gnss: GnssSpec, accuracy: FixAccuracy, readmit_after_s: float) -> None:
         self._gnss, self._accuracy = gnss, accuracy
@@ -51,7 +58,7 @@ class RefusedFixes(SessionState):
         """Start again, for another filter."""
         self._fixes = None
         self._t, self._stood, self._refused = np.empty(0), np.empty(0), np.empty(0, np.bool_)
-        self._begun, self._next = np.inf, -np.inf
+        self._begun, self._next, self._used = np.inf, -np.inf, -np.inf
 
     def take(self, fixes: GnssFixes) -> None:
         """Take the next sound fixes, in the order of their arrival."""
@@ -79,6 +86,7 @@ class RefusedFixes(SessionState):
         rows = np.flatnonzero((table.code == code) & (table.component == 0))
         if not len(rows):
             return None
+        self._see_jumps(table, rows)
         before = len(self._t)
         t = np.concatenate([self._t, table.t[rows]])
         apart = np.diff(t[before:], prepend=t[max(before - 1, 0)])
@@ -107,6 +115,19 @@ class RefusedFixes(SessionState):
         if self._fixes is not None:
             self._fixes = self._fixes.take(self._fixes.t_arrival > t[-1] - self.window)
         return None
+
+    def _see_jumps(self, table: Innovations, rows: IntArray) -> None:
+        """Wait after each jump among the positions at ``rows`` of the innovations, with their velocities."""
+        limit, size = nis_limit(3, _FALSE_ALARM), len(table)
+        for k in rows.tolist():
+            now, v = float(table.t[k]), k + 3
+            paired = v + 2 < size and table.t[v] == now and table.sensor[table.code[v]] == SENSORS[VELOCITY]
+            used = table.accepted[k] and (not paired or table.accepted[v])
+            if paired and not used and np.isfinite(self._used):
+                off, speed = math.hypot(*table.z[k : k + 3]), math.hypot(*table.z[v : v + 3])
+                if jumps_kernel(now - self._used, table.nis[k], table.nis[v], off, speed, limit):
+                    self._next = now + _AFTER_JUMP * self.window
+            self._used = now if used else -np.inf
 
     def last(self, t: float) -> GnssFixes:
         """Return the last fix that had arrived at a time [s]."""

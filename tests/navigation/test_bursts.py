@@ -1,0 +1,41 @@
+"""Bursts of wrong fixes reset no filter, and it neither follows them nor loses its attitude.
+
+`python -m tests.motions.bursts` prints the table of all lengths, rates, outages and shapes.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.builders import band
+from tests.motions import bursts
+
+SEED = 2611
+UNITS = ("adis16495", "stim300", "hg4930-ca51", "vn-100")
+
+
+@pytest.mark.parametrize(
+    ("cell", "runs"),
+    [
+        ((24.0, 1.0, 0.0, "step"), 5),
+        ((24.0, 10.0, 0.0, "step"), 5),
+        ((24.0, 10.0, 0.0, "ramp"), 5),
+        ((24.0, 10.0, 0.0, "jump"), 5),
+        ((3.0, 1.0, 211.0, "step"), 3),
+    ],
+    ids=str,
+)
+def test_a_burst_neither_resets_a_filter_nor_makes_it_inconsistent(cell, runs):
+    """Errors may last the 40 s that are evaluated, so each run counts as one sample."""
+    found = bursts.run_cell(runs, SEED, cell, "loose-full", UNITS)
+    assert not [one for one in found if one.resets or one.lost]
+    assert np.mean([one.nees for one in found]) < 9.0 * band(9 * runs)[1]
+    if cell[2] == 0.0:  # one that follows is off by all of the distance, of at least 50 m
+        assert max(one.farthest / one.off for one in found) < 0.5
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("cell", bursts.list_cells(["step"]), ids=str)
+def test_no_burst_of_any_length_rate_and_outage_resets_a_filter(cell):
+    assert bursts.count(bursts.run_cell(40, SEED, cell, "loose-full"), "resets") == 0
