@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from bench.evaluation.errors.error_series import error_series
+from bench.navigation import built_in
+from bench.simulation import sensors
 from tests.builders import band
 from tests.motions import trials
 from tests.motions.truths import RATE, make_truth
@@ -47,6 +52,33 @@ def test_loose_full_is_consistent_on_motions_that_resemble_no_profile():
     assert not [one for one in found if one.lost]
     mean = np.mean([one.nees for one in found])
     assert mean < 9.0 * band(9 * len(found))[1], sorted((one.nees, one.kind, one.unit) for one in found)[-4:]
+
+
+@pytest.mark.slow
+def test_a_course_in_strong_wind_ends_within_twice_the_error_of_a_known_heading():
+    """40 small planes in a wind of 0.4 of their airspeed or more; the alignment assumes 2 deg, as of a log.
+
+    The medians of the last 20 s. The nose is off the course by 17 deg in the median.
+    """
+    errors, number = {"course": [], "given": []}, 0
+    while len(errors["given"]) < 40:
+        number += 1
+        r = np.random.default_rng([5, number])
+        motion = replace(trials.KINDS["small plane in wind"](r), drift_deg=2.0)
+        strong = motion.figures["wind_mps"] > 0.4 * motion.figures["airspeed_mps"]
+        unit, receiver = r.choice(trials.list_units()), r.choice(trials.RECEIVERS)
+        if not strong or "course" not in motion.starts:
+            continue
+        truth = make_truth(motion.vel_n, motion.euler)
+        for start, found in errors.items():
+            spec = trials.choose_start(trials.load_sensors(str(unit), str(receiver)), motion, start)
+            drawn = sensors.sense(truth, spec, 5, number)
+            series = error_series(truth, built_in.load("loose-full", {}).run(drawn.data, drawn.initial))
+            last = series.t > series.t[-1] - 20.0
+            off = np.linalg.norm(series.pos_n[last, :2], axis=1), np.abs(series.heading[last])
+            found.append([np.nan_to_num(np.sqrt(np.mean(one**2)), nan=np.inf) for one in off])
+    course, given = (np.median(found, axis=0) for found in errors.values())
+    assert (course < 2.0 * given).all()
 
 
 def trial(kind, unit, number, nees):
