@@ -682,6 +682,8 @@ def test_mat_files_that_pickle_bomb_or_are_of_another_kind_are_refused(folder, t
         ((KIND, f"{KIND}\nroll_deg = 1.0"), "roll_deg is for kind = 'given'"),
         ((KIND, 'kind = "level"\ndrift_deg = 1.0'), "drift_deg is for kind = 'course'"),
         ((KIND, f"{GIVEN}\nduration_s = 5.0"), "duration_s has no effect"),
+        (("[imu]", 'vehicle = "person"\n[imu]'), "the course of a person gives no heading; use 'hover'"),
+        (("[imu]", 'vehicle = "train"\n[imu]'), "vehicle = 'train' must be"),
         ((KIND, f"{GIVEN}\n".replace("30.0", "500.0", 1)), "no usable fix from there on"),
         ((KIND, 'kind = "level"\nat_s = 60.0'), "needs a standstill"),
         (("from_s = 40.0", "from_s = 25.0"), None),
@@ -788,3 +790,29 @@ def test_the_publishers_clock_offset_is_worse_on_the_drive(tmp_path):
         solution = estimator.answer(built_in.load("loose-15", {}), "x", data, session.initial)
         found.append(measure_by_fixes(solution, withheld, data, spec.evaluation)[1]["pos_rmse_h_m"])
     assert found[0] < 0.5 * found[1]
+
+
+@pytest.mark.parametrize(
+    ("vehicle", "kind", "drift_deg"),
+    [(None, "course", 2.0), ("car", "course", 2.0), ("boat", "course", 10.0), ("fixed-wing", "course", 15.0),
+     ("multirotor", "hover", 2.0), ("person", "hover", 2.0)],
+)  # fmt: skip
+def test_a_vehicle_chooses_how_its_log_starts(folder, tmp_path, vehicle, kind, drift_deg):
+    head = f'vehicle = "{vehicle}"\n[imu]' if vehicle else "[imu]"
+    start = load_log(rewritten(folder, tmp_path, ("[imu]", head), (KIND, ""))).start
+    assert (start.alignment, pytest.approx(np.rad2deg(start.drift_sd))) == (kind, drift_deg)
+
+
+@pytest.mark.parametrize(("option", "right"), [("nonholonomic", "car"), ("coordinated", "fixed-wing")])
+def test_a_rule_of_a_vehicle_holds_for_no_other(folder, tmp_path, option, right):
+    for vehicle in ("multirotor", "fixed-wing", "car", "boat"):
+        more = (
+            f'vehicle = "{vehicle}"\n[[estimator]]\nuse = "loose-15"\noptions = {{ {option} = true }}\n[imu]'
+        )
+        (tmp_path / vehicle).mkdir()
+        path = rewritten(folder, tmp_path / vehicle, ("[imu]", more), (KIND, ""))
+        if vehicle == right:
+            assert load_log(path).estimators[0].options[option]
+        else:
+            with pytest.raises(ConfigError, match=f"{option} = true holds for vehicle = '{right}', not for"):
+                load_log(path)

@@ -19,12 +19,15 @@ from bench.io.config import checks
 from bench.io.config.datasheets import SENSORS
 from bench.io.config.library import find_datasheet
 from bench.io.config.log_tables import (
+    SIDEWAYS,
     FileTable,
     GnssTable,
     LogTable,
     StartSpec,
     check_frames,
+    check_vehicle,
     describe_frame,
+    find_kind,
     make_start,
 )
 from bench.io.config.overrides import (
@@ -193,6 +196,7 @@ def load_log(
         + checks.check_requirements(table.requirement, choices)
         + _check_start(table)
         + check_frames(table, beside)
+        + check_vehicle(table.vehicle, choices)
     )
     wrong += [f"{place}{line}" for line in across]
     if wrong:
@@ -269,7 +273,7 @@ def _make_spec(
         quality=table.gnss.quality if table.gnss else (),
         quality_sd=_read_classes(table.gnss.quality_sd_m if table.gnss else {}, file),
         assumed=AssumedSpecs(**assumed),
-        start=make_start(table.alignment),
+        start=make_start(table),
         estimators=choices,
         evaluation=table.evaluation.window(),
         until=math.inf if table.evaluation.until_s is None else float(table.evaluation.until_s),
@@ -385,11 +389,11 @@ _GIVEN_KEYS = ("roll_deg", "pitch_deg", "heading_deg", "tilt_sd_deg", "heading_s
 
 def _check_start(table: LogTable) -> list[str]:
     """Check that the start has what its alignment needs, and nothing that would have no effect."""
-    asked = table.alignment
-    kind = f"kind = {asked.kind!r}"
+    asked, found = table.alignment, find_kind(table)
+    kind = f"kind = {found!r}"
     present = [key for key in _GIVEN_KEYS if getattr(asked, key) is not None]
     wrong = []
-    if asked.kind == "given":
+    if found == "given":
         wrong += [
             f"[alignment] {key} is missing; {kind} needs it" for key in _GIVEN_KEYS[:3] if key not in present
         ]
@@ -397,12 +401,14 @@ def _check_start(table: LogTable) -> list[str]:
     else:
         given = [key for key in present if not (key == "heading_sd_deg" and asked.heading)]
         wrong += [f"[alignment] {key} is for kind = 'given', not for {kind}" for key in given]
-    if asked.heading and asked.kind not in ("level", "hover"):
+    if asked.heading and found not in ("level", "hover"):
         wrong.append(f"[alignment] heading is for kind = 'level' or 'hover', not for {kind}")
     if asked.heading == "magnetometer" and table.mag is None:
         wrong.append("[alignment] heading = 'magnetometer' needs a table [mag]")
-    if asked.kind != "course" and asked.drift_deg is not None:
+    if found != "course" and asked.drift_deg is not None:
         wrong.append(f"[alignment] drift_deg is for kind = 'course', not for {kind}")
+    if table.vehicle in SIDEWAYS and found == "course":
+        wrong.append(f"[alignment] {kind}: the course of a {table.vehicle} gives no heading; use 'hover'")
     if table.mag is not None:
         year = None if table.date is None else table.date.year
         if year is None or not FIRST_YEAR <= year < LAST_YEAR:

@@ -7,7 +7,7 @@ import math
 import os
 import re
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -16,6 +16,7 @@ from pydantic import AfterValidator, Field, WithJsonSchema, create_model
 from pydantic_core import PydanticCustomError
 
 from bench.core.records.instruments import INSTRUMENTS
+from bench.core.records.specs import EstimatorChoice
 from bench.io.config.profile_tables import EstimatorTable, EvaluationTable, RequirementTable
 from bench.io.config.tables import NOT_NEGATIVE, ROWS, Table, between
 from bench.io.foreign.local_frames import is_origin
@@ -237,15 +238,17 @@ class LogAlignmentTable(Table):
     ``hover``: position, velocity and tilt by fixes and IMU in steady flight. ``course``: nothing.
     """
 
-    kind: Literal["given", "level", "hover", "course"] = "course"
-    """Kind of the initial state that the filters get."""
+    kind: Literal["given", "level", "hover", "course"] | None = None
+    """Kind of the initial state that the filters get. Default: "course", but "hover" for a multirotor or a
+    person."""
     heading: Literal["magnetometer", "autopilot"] | None = None
     """Source of the heading, for "level" and "hover". Default: none; motion finds the heading."""
     duration_s: Annotated[float, between(1, 3600)] | None = None
     """Longest standstill used, for "level" (default 60); length of the track, for "course" (10, less
     where the turn-on bias of a gyro would turn it by 15 deg), or of steady flight, for "hover" (4)."""
     drift_deg: Annotated[float, between(0, 90)] | None = None
-    """Standard deviation of the angle from course to heading, for "course". Default: 2."""
+    """Standard deviation of the angle from course to heading, for "course". Default: 2, of a boat 10, of a
+    fixed-wing aircraft 15."""
     at_s: Annotated[float, between(0, 86400)] = 0.0
     """Earliest start, since the first row of the IMU."""
     roll_deg: _Angle | None = None
@@ -278,6 +281,8 @@ class _LogHead(Table):
     """Title."""
     date: datetime.date | None = None
     """Day of the recording, for the magnetic field; required with a magnetometer."""
+    vehicle: Literal["multirotor", "fixed-wing", "car", "boat", "person"] | None = None
+    """Kind of vehicle, by which a course gives its heading, or does not. Default: unknown."""
     imu: ImuTable
     gnss: GnssTable | None = None
 
@@ -302,6 +307,27 @@ class LogTable(_LogFiles):  # type: ignore[misc]
     estimator: Annotated[tuple[EstimatorTable, ...], ROWS] = (EstimatorTable(use="loose-15"),)
     evaluation: LogEvaluationTable = Field(default_factory=LogEvaluationTable)
     requirement: Annotated[tuple[RequirementTable, ...], ROWS] = ()
+
+
+SIDEWAYS = ("multirotor", "person")
+"""Vehicles that move in any direction: their course gives no heading."""
+_DRIFT_DEG = {"boat": 10.0, "fixed-wing": 15.0}  # by current and wind, as in 8 m/s across at 30 m/s
+
+
+def find_kind(table: LogTable) -> str:
+    """Return the kind of alignment, or its default for the vehicle."""
+    return table.alignment.kind or ("hover" if table.vehicle in SIDEWAYS else "course")
+
+
+def check_vehicle(vehicle: str | None, choices: Sequence[EstimatorChoice]) -> list[str]:
+    """Return a line for each option of a filter that does not hold for a vehicle."""
+    right = {"nonholonomic": "car", "coordinated": "fixed-wing"}
+    return [
+        f"estimator {choice.label}: {option} = true holds for vehicle = {other!r}, not for {vehicle!r}"
+        for choice in choices
+        for option, other in right.items()
+        if choice.options.get(option) and vehicle not in (None, other)
+    ]
 
 
 def list_files(table: Any) -> dict[str, Any]:
@@ -365,16 +391,18 @@ class StartSpec:
     heading_from: str  # level, hover: "magnetometer" or "autopilot"; empty: unknown
 
 
-def make_start(row: LogAlignmentTable) -> StartSpec:
+def make_start(table: LogTable) -> StartSpec:
     """Return the initial state of a log in SI units."""
+    row, kind = table.alignment, find_kind(table)
     attitude = (row.roll_deg or 0.0, row.pitch_deg or 0.0, row.heading_deg or 0.0)
-    default = {"course": 10.0, "hover": 4.0}.get(row.kind, 60.0)  # as in a profile
+    default = {"course": 10.0, "hover": 4.0}.get(kind, 60.0)  # as in a profile
+    drift_deg = _DRIFT_DEG.get(table.vehicle or "", 2.0) if row.drift_deg is None else row.drift_deg
     heading_sd = 10.0 if row.heading else 2.0
     return StartSpec(
-        alignment=row.kind,
+        alignment=kind,
         at=float(row.at_s),
         align_for=float(default if row.duration_s is None else row.duration_s),
-        drift_sd=math.radians(2.0 if row.drift_deg is None else row.drift_deg),
+        drift_sd=math.radians(drift_deg),
         attitude=(math.radians(attitude[0]), math.radians(attitude[1]), math.radians(attitude[2])),
         tilt_sd=math.radians(0.5 if row.tilt_sd_deg is None else row.tilt_sd_deg),
         heading_sd=math.radians(heading_sd if row.heading_sd_deg is None else row.heading_sd_deg),
