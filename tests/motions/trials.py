@@ -55,6 +55,7 @@ class Trial:
     covered: int  # of them within 1.645 sigma
     lost: str  # why it did not converge, or ""
     figures: dict[str, float]
+    resets: int = 0  # of the filter, by rejected fixes or an unknown heading
 
 
 @cache
@@ -137,6 +138,7 @@ def _judge(
         int((np.abs(heading[vague]) < _NINETY * sd[vague]).sum()),
         "" if sound else str(why),
         figures,
+        sum(row[2] == "reset" for row in solution.events.rows()),
     )
 
 
@@ -159,7 +161,7 @@ def run_trials(
 def summarize(trials: Sequence[Trial]) -> Iterator[str]:
     """Yield the lines of the table, a motion each, and of the pairs of motion and unit that stand out."""
     blocks = "   ".join(name[:3] for name in BLOCKS)
-    yield f"{'motion':24s} {'filter':11s} runs lost    NEES (9)      median  worst   {blocks}  vague"
+    yield f"{'motion':24s} {'filter':11s} runs lost reset   NEES (9)      median  worst   {blocks}  vague"
     for use in dict.fromkeys(one.use for one in trials):
         own = [one for one in trials if one.use == use]
         for kind in dict.fromkeys(one.kind for one in own):
@@ -174,9 +176,9 @@ def _line(kind: str, use: str, own: Sequence[Trial]) -> str:
     blocks = [np.nanmean([one.blocks.get(name, math.nan) for one in own]) for name in BLOCKS]
     vague, covered = sum(one.vague for one in own), sum(one.covered for one in own)
     share = f"{covered / vague:.2f} of {vague}" if vague else "-"
-    lost = sum(bool(one.lost) for one in own)
+    lost, resets = sum(bool(one.lost) for one in own), sum(one.resets for one in own)
     return (
-        f"{kind:24s} {use:11s} {len(own):4d} {lost:4d} {nees.mean():7.2f} ± {half:6.2f}"
+        f"{kind:24s} {use:11s} {len(own):4d} {lost:4d} {resets:5d} {nees.mean():7.2f} ± {half:6.2f}"
         f"  {np.median(nees):6.2f} {nees.max():7.1f} {' '.join(f'{x:5.2f}' for x in blocks)}  {share}"
     )
 
