@@ -24,9 +24,15 @@ def solution(
     return answers(t, layout, state, P[:, :9, :9], variance, table, events, offset_rows(layout, P))
 
 
+def find_offset(layout: StateLayout) -> int:
+    """Return the index of the clock offset of the fixes, or -1."""
+    return layout.slice("time_offset").start if layout.has("time_offset") else -1
+
+
 def offset_rows(layout: StateLayout, P: FloatArray) -> FloatArray | None:
     """Return the covariances (M, 9) of the clock offset in P (M, n, n) with the first states."""
-    return P[:, layout.slice("time_offset").start, :9] if layout.has("time_offset") else None
+    at = find_offset(layout)
+    return P[:, at, :9] if at >= 0 else None
 
 
 def answers(

@@ -25,7 +25,7 @@ from bench.navigation.engine.session import (
     require_rows,
 )
 from bench.navigation.engine.timeline import Steps
-from bench.navigation.error_state_filter.answers import answers, solution, spread
+from bench.navigation.error_state_filter.answers import answers, find_offset, solution, spread
 from bench.navigation.error_state_filter.error_state import StateLayout
 from bench.navigation.error_state_filter.measurement_rows import (
     SATELLITE_ROWS,
@@ -70,13 +70,12 @@ class Stores(NamedTuple):
     state: FloatArray  # (M, shown + 1) at each output, but the last states: single satellites
     cov: FloatArray  # (M, 9, 9) of position, velocity, attitude
     variance: FloatArray  # (M, shown - 9) of the states from the gyro bias on
-    offset: (
-        FloatArray  # (M, 9) covariance of the clock offset of fixes with the first states, if there is one
-    )
+    offset: FloatArray  # (M, 9) covariance of the clock offset of fixes with them, if there is one
     # (N, 2, n + 1) before and after the measurements at the nodes of a smoother; none without one
     node_state: FloatArray
     node_cov: FloatArray  # (N, 2, n, n)
     transition: FloatArray  # (N, n, n)
+    clock: int  # index of the clock offset of fixes, or -1
 
 
 @inner
@@ -91,8 +90,8 @@ def _keep_kernel(now: FilterState, state: FloatArray, P: FloatArray) -> None:
 
 
 @inner
-def _answer_kernel(now: FilterState, at: int, clock: int, stores: Stores) -> None:
-    """Store the state of the filter as an output; ``clock`` is the index of the clock offset, or -1."""
+def _answer_kernel(now: FilterState, at: int, stores: Stores) -> None:
+    """Store the state of the filter as an output."""
     P, cov = now.P, stores.cov[at]
     for i in range(stores.state.shape[1]):
         stores.state[at, i] = now.state[i]
@@ -101,9 +100,9 @@ def _answer_kernel(now: FilterState, at: int, clock: int, stores: Stores) -> Non
             cov[i, j] = P[i, j]
     for i in range(stores.variance.shape[1]):
         stores.variance[at, i] = P[9 + i, 9 + i]
-    if clock >= 0:
+    if stores.clock >= 0:
         for i in range(9):
-            stores.offset[at, i] = P[clock, i]
+            stores.offset[at, i] = P[stores.clock, i]
 
 
 @kernel
@@ -155,11 +154,11 @@ def fusion_kernel(
         if peeking:
             for i in range(carried.whole.shape[0]):
                 carried.whole[i] = carried.kept[i]
-            _answer_kernel(goes, output, index.time_offset, stores)
+            _answer_kernel(goes, output, stores)
             output += 1
             e += 1
         elif asked and ahead[output] == 0.0 and carried.elapsed[0] == 0.0:
-            _answer_kernel(now, output, index.time_offset, stores)
+            _answer_kernel(now, output, stores)
             output += 1
             e += 1
         elif action == GO_ON:
@@ -204,7 +203,7 @@ def fusion_kernel(
             _keep_kernel(now, stores.node_state[node, 1], stores.node_cov[node, 1])
             node += 1
             while e < schedule.shape[0] and schedule[e, 0] == until and schedule[e, 1] == OUTPUT:
-                _answer_kernel(now, output, index.time_offset, stores)
+                _answer_kernel(now, output, stores)
                 output += 1
                 e += 1
 
@@ -334,6 +333,7 @@ class ForwardRun(SessionState):
             empty((len(at), 2, n + 1)),
             empty((len(at), 2, n, n)),
             empty((len(at), n, n)),
+            find_offset(model.layout),
         )
         if len(self.work.update.row) != n:
             self.work = work_for(n, process.drives)
@@ -383,7 +383,7 @@ class ForwardRun(SessionState):
         if keep:
             outputs = entries[entries[:, 1] == OUTPUT, 0]
             node[rows] = np.searchsorted(at, outputs)
-        nodes = Nodes(model.layout, steps.t[at], *stores[4:], node)
+        nodes = Nodes(model.layout, steps.t[at], *stores[4:7], node)
         table = innovations(SENSORS, numbers, marks)
-        late = offset if model.index.time_offset >= 0 else None
+        late = offset if stores.clock >= 0 else None
         return answers(t, model.layout, state, cov, variance, table, Events.from_rows(events), late), nodes
