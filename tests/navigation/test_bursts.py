@@ -35,7 +35,7 @@ def test_a_burst_neither_resets_a_filter_nor_makes_it_inconsistent(cell, runs):
         assert max(one.farthest / one.off for one in found) < 0.5
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("cell", bursts.list_cells(["step"]), ids=str)
 def test_no_burst_of_any_length_rate_and_outage_resets_a_filter_by_rejections(cell):
     """A gyro of a consumer unit may lose the heading of a vehicle that pans; that is a reset of its own."""

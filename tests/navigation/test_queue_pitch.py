@@ -130,7 +130,7 @@ def test_pitch_sigma_is_that_of_the_posterior_at_each_stop():
     assert np.abs(found[:, 1] - 1.0).max() < 0.1, found
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(("unit", "receiver"), [("bmi088", "l1-code"), ("icm-45686", "zed-f9p")])
 def test_ranks_of_the_true_pitch_are_uniform(unit, receiver):
     """Simulation-based calibration: 400 records, a stop of each, chi-square over 20 bins at 99.9 %."""
