@@ -110,7 +110,7 @@ ANSWERS: list[tuple[str, str, int, tuple[str, ...]]] = [
         "sensor_logger",
         "navigate",
         0,
-        ("by Sensor Logger", "mounting_deg = [180.0, 0.0, 90.0]", "14 of 14 checks"),
+        ("by Sensor Logger", "mounting_deg = [180.0, 0.0, 90.0]", "15 of 15 checks"),
     ),
     ("xsens_dot", "navigate", 2, (f"{NO_GNSS}PacketCounter, SampleTimeFine, Acc_X",)),
     (

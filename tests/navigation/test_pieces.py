@@ -157,7 +157,7 @@ def joined(solutions):
     columns = {
         f.name: np.concatenate([getattr(one, f.name) for one in found])
         for f in fields(found[0])
-        if f.name not in ("extra_names", "innovations", "events")
+        if f.name not in ("extra_names", "innovations", "events") and getattr(found[0], f.name) is not None
     }
     tables = [one.innovations for one in found if len(one.innovations)]
     if tables:
