@@ -404,14 +404,13 @@ class Aiding:
         sound = nis <= chi2.ppf(self.sound, len(z)) and not contradicts
         before = self.refused.get(name, [])
         jumped = self.jumped and name in ("position", "velocity")
-        late = len(before) > 2 and self.now - before[0] > self.readmit_after_s * (1 + 2 * jumped) - 1e-6
+        late = len(before) > 2 and self.now - before[0] > self.readmit_after_s - 1e-6
         accepted = sound or drifted or (late and name in OWN)
         self.refused[name] = [] if accepted else [*before, self.now]
         self.rows.append((nis, accepted))
         if accepted and not sound:  # a step of its own, or an error P had too small
             refused = kf.P @ wide.T @ np.linalg.solve(S, innovation)
-            held = max(map(self.used.get, ("position", "velocity"))) > before[0]
-            if jumped or (name == "baro" and held):
+            if jumped or (name == "baro" and max(map(self.used.get, ("position", "velocity"))) > before[0]):
                 refused[:] = 0.0  # the filter is where it should be: GNSS was used meanwhile, or jumped
             step = np.zeros(kf.dim_x)
             step[OWN[name]] = 0.0 if drifted else innovation[:, 0]

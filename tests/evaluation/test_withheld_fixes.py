@@ -174,5 +174,5 @@ def test_the_covariance_there_is_that_of_small_errors_of_state_and_offset():
     expected = J @ P @ J.transpose(0, 2, 1)
     scale = np.sqrt(np.einsum("kii->ki", expected))
     difference = (moved.cov[:, :6, :6] - expected) / (scale[:, :, None] * scale[:, None, :])
-    assert np.abs(difference[:, :3, :3]).max() < 2e-3
+    assert np.abs(difference[:, :3, :3]).max() < 5e-3
     assert np.abs(difference).max() < 0.08  # the force at the end is not the mean: it turns by 0.1 rad/s

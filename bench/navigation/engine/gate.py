@@ -26,8 +26,6 @@ LEAST_REFUSALS = 3
 """So many measurements of a sensor are rejected before one is re-admitted, however long that takes."""
 NOISIER = 3.0
 """A receiver may be so many times as noisy as its datasheet says and is still re-admitted."""
-JUMPED = 3.0
-"""Fixes that jumped away from those before are rejected so many times as long: most bursts are over then."""
 REFUSED, SOUND, DRIFTED, STEPPED, LOST = range(5)
 """What becomes of a measurement. It is used where it is sound, or tells that the filter drifted while there
 were no fixes, and after long rejections: then the instrument made a step, or the filter itself may be
@@ -197,9 +195,7 @@ def jumps_kernel(dt: float, position: float, velocity: float, off: float, speed:
 def moves_kernel(
     t: float, y: FloatArray, var: FloatArray, limit: float, readmit_after_s: float, trust: Trust
 ) -> bool:
-    """Return whether rejected fixes moved as their velocities for long enough; remember this fix.
-
-    That is readmit_after_s, or `JUMPED` times as long after a jump.
+    """Return whether rejected fixes moved as their velocities for readmit_after_s; remember this fix.
 
     A receiver that is right where the filter is wrong does; one whose output is frozen, or whose position
     alone is pulled away, does not, and is not re-admitted. y (6,) are the innovations of position [m] and
@@ -231,8 +227,6 @@ def moves_kernel(
     at[1] = t
     for i in range(3):
         last[i] = y[3 + i]
-    if trust.jumped[0]:
-        readmit_after_s *= JUMPED
     return bool(t - at[0] >= readmit_after_s - TIME_TOLERANCE)
 
 
