@@ -195,7 +195,7 @@ class Short(Changed):
     def change(self, solution):
         columns = {f.name: getattr(solution, f.name) for f in fields(NavSolution)}
         table = ("extra_names", "innovations", "events")
-        return NavSolution(**{k: v if k in table else v[:-1] for k, v in columns.items()})
+        return NavSolution(**{k: v if k in table or v is None else v[:-1] for k, v in columns.items()})
 
 
 class OneNanVariance(Changed):
