@@ -47,6 +47,7 @@ from bench.navigation.error_state_filter.measurement_rows import (
 )
 from bench.navigation.error_state_filter.propagation import FilterState, Pending, UpdateWork
 from bench.navigation.error_state_filter.rough_heading import (
+    WIDE,
     blind_kernel,
     consider_kernel,
     drifting_kernel,
@@ -117,6 +118,7 @@ def use_kernel(
         blind_kernel(now.state, P, pending.H[first : first + rows])
     of_gnss = pending.tags[first, 0] in (ABSENT, POSITION, VELOCITY, PSEUDORANGE, RANGE_RATE)
     vague = of_gnss and vague_kernel(P)
+    swings = vague and P[8, 8] < WIDE**2 and pending.tags[first, 0] == POSITION and rows > 3
     considers = vague and drifting_kernel(now.state, P, work.considered) and stands_kernel(now.state, P)
     a, drifted, moves, ranges_agree, rates_agree = first, False, True, False, False
     late, waits = work.late, 0
@@ -208,7 +210,7 @@ def use_kernel(
             wait = pending.H[slot * pending.width : slot * pending.width + pending.live[slot]]
             turn_rows_kernel(wait, work.turn, work.drives, work.factor)
             refer_rows_kernel(wait, work.drives, work.row)
-    if vague and pending.tags[first, 0] == POSITION and rows > 3:
+    if swings:
         for i in range(3):
             work.axes[2, 0, i] = dx[PHI + i]
         matrix_kernel(now.state, work.axes[0])
