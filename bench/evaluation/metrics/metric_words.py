@@ -49,7 +49,7 @@ _WORDS: Mapping[str, tuple[str, str]] = {
     "inertial_predicted_{}_h_m": (OUTAGES, "the same by the datasheet, {}"),
     "outage_{}_growth_h_m": (OUTAGES, "outage {}: the error moved by"),
     "outage_{}_predicted_h_m": (OUTAGES, "outage {}: predicted, rms"),
-    "outage_{}_predicted_95_h_m": (OUTAGES, "outage {}: by the datasheets, 95 %"),
+    "outage_{}_predicted_95_h_m": (OUTAGES, "outage {}: predicted, 95 %"),
     "outage_{}_drift_h_m": (OUTAGES, "outage {}: error at its end"),
     "fault_{}_detected": (FAULTS, "fault {}: detected"),
     "fault_{}_delay_s": (FAULTS, "fault {}: detected after"),
