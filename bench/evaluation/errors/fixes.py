@@ -76,9 +76,8 @@ def antenna_errors(
 def _move_by_offset(solution: NavSolution, imu: ImuData) -> NavSolution:
     """Return a solution at each of its epochs plus the clock offset of the fixes that it estimates.
 
-    The mean force and rate in between move it, ``p + v dt + a dt^2 / 2`` and ``v + a dt``; the
-    error of the offset adds v, a and the rate to its errors there. Unknown covariances of the offset with these
-    are taken as 0.
+    The mean force and rate in between move it, ``p + v dt + a dt^2 / 2`` and ``v + a dt``. The error of the
+    offset adds v, a and the rate to the errors there. Unknown covariances of the offset with them count as 0.
     """
     if solution.offset_cov is None or not len(solution):
         return solution
