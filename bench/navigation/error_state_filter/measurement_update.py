@@ -49,9 +49,6 @@ from bench.navigation.error_state_filter.propagation import FilterState, Pending
 from bench.navigation.error_state_filter.rough_heading import (
     WIDE,
     blind_kernel,
-    consider_kernel,
-    drifting_kernel,
-    stands_kernel,
     swing_kernel,
     vague_kernel,
 )
@@ -119,7 +116,6 @@ def use_kernel(
     of_gnss = pending.tags[first, 0] in (ABSENT, POSITION, VELOCITY, PSEUDORANGE, RANGE_RATE)
     vague = of_gnss and vague_kernel(P)
     swings = vague and P[8, 8] < WIDE**2 and pending.tags[first, 0] == POSITION and rows > 3
-    considers = vague and drifting_kernel(now.state, P, work.considered) and stands_kernel(now.state, P)
     a, drifted, moves, ranges_agree, rates_agree = first, False, True, False, False
     late, waits = work.late, 0
     satellites: int = gate.opens.shape[0]
@@ -181,7 +177,7 @@ def use_kernel(
             component = pending.tags[a + b, 2]
             note_kernel(t, code, channel, component, e[b], work.var[b], nis, verdict != REFUSED, log)
         if verdict != REFUSED and verdict != SOUND:
-            waits, considers = settle_kernel(P, late, waits), False
+            waits = settle_kernel(P, late, waits)
             if verdict == DRIFTED:
                 stretch_kernel(P, H, work.square, work.row)
             elif code in (PSEUDORANGE, RANGE_RATE):
@@ -196,8 +192,6 @@ def use_kernel(
             gate.level[code] = max(level + gate.memory * (excess - level), 0.01)
         a += m
     settle_kernel(P, late, waits)
-    if considers:
-        consider_kernel(P, dx, work.considered)
     for slot in range(pending.live.shape[0]):  # rows that wait were measured before this correction
         for b in range(slot * pending.width, slot * pending.width + pending.live[slot]):
             for i in range(n):

@@ -111,7 +111,6 @@ class UpdateWork(NamedTuple):
     var: FloatArray  # (6,)
     innovation: FloatArray  # (6,)
     turn: FloatArray  # (5, 3) of the axes by a correction
-    considered: FloatArray  # (6,) of `rough_heading.drifting_kernel`
     axes: FloatArray  # (3, 3, 3) C_nb before and after it, and the angles
     drives: IntArray  # (D, 3) `Process.drives`
     factor: FloatArray  # (D,) `Carried.factor`
@@ -192,7 +191,6 @@ def work_for(n: int, drives: IntArray) -> Work:
             np.zeros(6),
             np.zeros(6),
             np.zeros((5, 3)),
-            np.zeros(6),
             np.zeros((3, 3, 3)),
             drives,
             carried.factor,

@@ -13,7 +13,6 @@ import numpy as np
 from bench.core.compilation.compiled import inner, kernel
 from bench.core.mathematics.arrays import BoolArray, FloatArray
 from bench.core.mathematics.earth import EARTH_RATE, radii_kernel
-from bench.navigation.error_state_filter.error_state import GYRO
 
 WIDE = float(np.deg2rad(30.0))  # sd of a heading from which on one linear filter is not enough [rad]
 UNKNOWN_HEADING_SD = float(np.pi / np.sqrt(3.0))  # a heading anywhere from -180 to 180 deg [rad]
@@ -160,45 +159,6 @@ def blind_kernel(state: FloatArray, P: FloatArray, H: FloatArray) -> None:
 def vague_kernel(P: FloatArray) -> bool:
     """Return whether the heading is so uncertain that each correction of it changes what fixes tell."""
     return bool(P[8, 8] > _ROUGH**2)
-
-
-@inner
-def drifting_kernel(state: FloatArray, P: FloatArray, kept: FloatArray) -> bool:
-    """Return whether the heading drifts by an unknown rate above that of the Earth.
-
-    Fill kept (6,) for :func:`consider_kernel`: the vertical in b, and the covariance of heading and rate.
-    """
-    w, p, q, r = state[6], state[7], state[8], state[9]
-    kept[0], kept[1], kept[2] = 2.0 * (p * r - w * q), 2.0 * (q * r + w * p), 1.0 - 2.0 * (p * p + q * q)
-    kept[3], kept[4], kept[5] = P[8, 8], 0.0, 0.0
-    for i in range(3):
-        kept[4] += kept[i] * P[8, GYRO + i]
-        for j in range(3):
-            kept[5] += kept[i] * P[GYRO + i, GYRO + j] * kept[j]
-    return bool(kept[5] > EARTH_RATE**2)
-
-
-@inner
-def consider_kernel(P: FloatArray, dx: FloatArray, kept: FloatArray) -> None:
-    """Take an update of heading and gyro bias about the vertical back from P (n, n) and dx (n,) (Schmidt).
-
-    Their own covariance is that before the update; those with the other states are what the update left:
-    the covariance of an update whose gain leaves both out.
-    """
-    part, both, rate = 0.0, 0.0, 0.0
-    for i in range(3):
-        part += kept[i] * dx[GYRO + i]
-        both += kept[i] * P[8, GYRO + i]
-        for j in range(3):
-            rate += kept[i] * P[GYRO + i, GYRO + j] * kept[j]
-    dx[8] = 0.0
-    P[8, 8] = kept[3]
-    for i in range(3):
-        dx[GYRO + i] -= kept[i] * part
-        P[8, GYRO + i] += kept[i] * (kept[4] - both)
-        P[GYRO + i, 8] = P[8, GYRO + i]
-        for j in range(3):
-            P[GYRO + i, GYRO + j] += kept[i] * kept[j] * (kept[5] - rate)
 
 
 @kernel
