@@ -13,16 +13,9 @@ from scipy import stats
 from bench.cli.command_line import main
 from bench.core.words.exceptions import ConfigError
 from bench.evaluation.consistency.verdict import add_verdict
-from bench.evaluation.requirements.required_metrics import (
-    MET,
-    MISSED,
-    UNDECIDED,
-    Looks,
-    count_deciding_runs,
-    decide,
-    judge_run,
-    judge_runs,
-)
+from bench.evaluation.requirements.required_metrics import Looks, judge_run, judge_runs, trace
+from bench.evaluation.requirements.share_test import MET, MISSED, UNDECIDED, ShareTest
+from bench.experiments.baselines.junit import write_requirements
 
 MOST = {"metric": "pos_rmse_h_m", "most": 5.0, "share": 0.95}
 LEAST = {"metric": "nees_inside_95", "least": 0.9, "share": 0.95}
@@ -57,6 +50,10 @@ def test_one_run(values, row, expected):
     assert word(values, row) == expected
 
 
+def decide(count, n, share):
+    return ShareTest(share).decide([True] * count + [False] * (n - count))[0]
+
+
 @pytest.mark.parametrize("share", [0.5, 0.9, 0.95])
 @pytest.mark.parametrize("n", [10, 59, 200])
 def test_a_wrong_word_is_rare(share, n):
@@ -69,35 +66,81 @@ def test_a_wrong_word_is_rare(share, n):
     assert decide(0, n, share) == MISSED
 
 
-def test_the_runs_that_are_missing_decide():
+def judge_all(kept, row):
+    (found,) = judge_runs("mine", [{"pos_rmse_h_m": 1.0 if one else 9.0} for one in kept], [row])
+    return found
+
+
+def test_the_runs_that_are_missing_are_told():
     """All of 8 runs: 0.95^58 is above 5 %, 0.95^59 below."""
     assert 0.95**59 < 0.05 < 0.95**58
-    assert count_deciding_runs(8, 8, 0.95) == 59
-    assert count_deciding_runs(95, 100, 0.95) is None
-    row = {"metric": "pos_rmse_h_m", "most": 5.0, "share": 0.95}
-    (found,) = judge_runs("mine", [{"pos_rmse_h_m": 1.0}] * 8, [row])
+    assert ShareTest(0.95).count_least() == 59
+    found = judge_all([True] * 8, MOST)
     assert found.word == UNDECIDED
     assert found.sentence == (
         "mine: pos_rmse_h_m is at most 5 m in 8 of 8 runs, 68.8 to 100 % of all, 95 % are required: "
-        "undecided; 59 runs would decide it."
+        "undecided; 153 runs show it with 90 % if 99 % of all keep it."
     )
     lost = [{"pos_rmse_h_m": 1.0, "converged": k > 9} for k in range(59)]
-    assert judge_runs("mine", lost, [row])[0].word == MISSED
+    assert judge_runs("mine", lost, [MOST])[0].word == MISSED
+    many = judge_all([True] * 192 + [False] * 8, MOST)
+    assert "so few keep it that more than 153 runs are needed" in many.sentence
+    near = judge_all([True] * 8, {**MOST, "expected_share": 0.95001})
+    assert near.sentence.endswith("undecided; no number of runs shows it for a filter of which 95 % keep it.")
 
 
-@pytest.mark.parametrize(("count", "n"), [(6, 6), (24, 24), (23, 24), (11, 12), (20, 24)])
-def test_the_runs_that_are_advised_are_enough(count, n):
-    """Begun with 6 and doubled to 24: as many as advised, of which as many keep it, decide."""
-    needed = count_deciding_runs(count, n, 0.95, Looks(6, 24))
-    assert needed == 59 if count == n else needed > 24
-    assert decide(round(count / n * needed), needed, 0.95, Looks(6, needed)) != UNDECIDED
+@pytest.mark.parametrize("share", [0.5, 0.9, 0.95])
+def test_the_runs_that_are_advised_show_a_good_filter(share):
+    """By enumeration: "met" with 90 % at the expected share, with fewer runs less often."""
+    test = ShareTest.from_row({"share": share})
+    n = test.count_runs()
+    counts = np.arange(n + 1)
+    met = np.array([test.bound(k, n).low >= share for k in counts.tolist()])
+    assert stats.binom.pmf(counts[met], n, test.expected).sum() >= 0.9
+    fewer = n * 3 // 4
+    met = np.array([test.bound(k, fewer).low >= share for k in range(fewer + 1)])
+    assert stats.binom.pmf(np.arange(fewer + 1)[met], fewer, test.expected).sum() < 0.9
 
 
-def test_only_a_look_that_can_decide_has_a_part_of_the_error():
+@pytest.mark.parametrize(("at", "right"), [(0.95, ""), (0.97, ""), (0.99, MET)])
+def test_runs_that_are_added_one_by_one_show_no_more_than_they_say(at, right):
+    """2,000 campaigns at the required share, midway, and at the expected share; 99.9 % of the binomial."""
+    test = ShareTest(sequential=True)
+    most = test.count_runs()
+    kept = np.random.default_rng(2).random((2000, most)) < at
+    words = Counter(test.decide(one)[0] for one in kept)
+    wrong = (MISSED,) if at > test.share else (MET, MISSED)
+    assert all(words[word] < stats.binom.ppf(0.999, 2000, test.alpha) for word in wrong)
+    if right:
+        assert words[right] > stats.binom.ppf(0.001, 2000, 1.0 - test.beta)
+    loose = ShareTest(sequential=True, alpha=0.5)
+    assert at > test.share or Counter(loose.decide(one)[0] for one in kept)[MET] > words[MET] + 200
+
+
+def test_a_filter_that_is_bad_is_told_so_soon():
+    """By hand: three misses in a row weigh 3 log(0.215 / 0.05), more than log 20."""
+    test = ShareTest(sequential=True)
+    assert test.decide([False] * 3) == (MISSED, 3)
+    assert test.decide([False] * 2) == (UNDECIDED, 2)
+    assert judge_all([False] * 9, {**MOST, "plan": "sequential"}).sentence == (
+        "mine: pos_rmse_h_m is at most 5 m in 0 of 3 runs, 95 % are required: missed."
+    )
+
+
+def test_a_verdict_has_the_id_and_the_words_of_its_requirement(tmp_path):
+    found = judge_all([True] * 59, {**MOST, "id": "NAV-7", "text": "Within 5 m & no more"})
+    write_requirements(tmp_path / "found.xml", "suite", [found])
+    (case,) = ElementTree.parse(tmp_path / "found.xml").getroot()[0]
+    assert case.get("name") == "NAV-7 pos_rmse_h_m"
+    assert {one.get("name"): one.get("value") for one in case[0]} == {
+        "requirement_id": "NAV-7", "requirement_text": "Within 5 m & no more"
+    }  # fmt: skip
+    shown = [str(cell) for cell in trace([found]).rows[0]]
+    assert shown == ["NAV-7", "Within 5 m & no more", "mine", "met", found.sentence]
+
+
+def test_looks_double_up_to_the_most():
     assert [Looks(*asked).numbers for asked in ((12, 24), (6, 23), (24, 6))] == [[12, 24], [6, 12, 23], [24]]
-    assert decide(59, 59, 0.95, Looks(6, 59)) == decide(80, 80, 0.95, Looks(6, 80)) == MET
-    assert decide(59, 59, 0.95, Looks(59, 118)) == UNDECIDED
-    assert decide(0, 6, 0.95, Looks(6, 59)) == MISSED
 
 
 def test_a_verdict_says_it_and_one_without_requirements_says_nothing():
@@ -168,16 +211,3 @@ def test_a_wrong_requirement_is_named(tmp_path):
         "short.toml: [[requirement]] 2: give most or least, one of them",
         "short.toml: [[requirement]] 3: no filter 'other'; there are loose-15, loose-full",
     )
-
-
-def test_runs_that_are_added_until_it_is_decided_show_no_more_than_they_say():
-    """Just 95 % keep it: looked at four times, either word falls in 5 % of the campaigns at most."""
-    looks, words = [30, 60, 120, 240, 480], Counter[str]()
-    assert Looks(30, 480).numbers == looks
-    decided = {(n, k): decide(k, n, 0.95, Looks(30, 480)) for n in looks for k in range(n + 1)}
-    kept = np.random.default_rng(2).random((4000, looks[-1])) < 0.95
-    for counts in np.cumsum(kept, axis=1):
-        found = [decided[n, int(counts[n - 1])] for n in looks]
-        words[next((word for word in found if word != UNDECIDED), UNDECIDED)] += 1
-    assert words[MET] < stats.binom.ppf(0.999, 4000, 0.05)
-    assert words[MISSED] < stats.binom.ppf(0.999, 4000, 0.05)

@@ -17,7 +17,7 @@ from bench.evaluation.consistency.verdict import (
     format_distance,
     format_share,
 )
-from bench.evaluation.requirements.required_metrics import MISSED
+from bench.evaluation.requirements.share_test import MISSED
 
 NEES = (
     "NEES is the normalized estimation error squared; if the reported covariance is right, its mean is the "

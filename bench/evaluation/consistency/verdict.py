@@ -18,7 +18,8 @@ from bench.evaluation.errors.error_series import (
 )
 from bench.evaluation.linear.drift_laws import RAYLEIGH_95
 from bench.evaluation.metrics.coverage import Coverage
-from bench.evaluation.requirements.required_metrics import MET, MISSED, judge_run
+from bench.evaluation.requirements.required_metrics import judge_run
+from bench.evaluation.requirements.share_test import MET, MISSED
 
 OVERCONFIDENT, UNDERCONFIDENT, CONSISTENT = "overconfident", "underconfident", "consistent"
 """Verdicts by the errors: larger than reported, smaller, neither is shown by this run."""

@@ -2,8 +2,7 @@
 
 A requirement is a row ``[[requirement]]`` of a profile or a log. One run meets it if its metric does; a run
 that did not converge, or has no such metric, does not. Of many runs, at least the fraction ``share`` must
-meet it: the verdict is met or missed if the 95 % bound on this fraction decides it (Clopper and Pearson, one
-side), else more runs are needed.
+meet it: :class:`ShareTest` decides.
 """
 
 from __future__ import annotations
@@ -11,19 +10,18 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
+from bench.core.records.findings import FindingTable, make_table
+from bench.core.records.findings.looks import find_look
+from bench.core.words.notebook import ShownText
 from bench.core.words.wording import format_number
-from bench.evaluation.ensembles.ensemble import Estimate, estimate_rate
 from bench.evaluation.metrics.run_metrics import find_metric
+from bench.evaluation.requirements.share_test import MET, MISSED, UNDECIDED, ShareTest
 
-MET, MISSED, UNDECIDED = "met", "missed", "undecided"
 EVERY = "*"
 """In the name of a metric: every outage or fault, the worst of them."""
-
-_ERROR = 0.05  # of the bound at each end
-_MOST_RUNS = 100_000  # that are thought of
 
 Values = Mapping[str, Any]
 
@@ -36,6 +34,8 @@ class Finding:
     metric: str
     word: str  # MET, MISSED or UNDECIDED
     sentence: str
+    id: str = ""  # of the requirement, as its owner numbers it
+    text: str = ""  # of the requirement, as its owner words it
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,17 +52,6 @@ class Looks:
         while found[-1] < self.most:
             found.append(min(2 * found[-1], self.most))
         return found
-
-
-def count_meeting_runs(share: float) -> int:
-    """Return the smallest number of runs that proves a required fraction if all runs meet the requirement.
-
-    Examples
-    --------
-    >>> count_meeting_runs(0.95), count_meeting_runs(0.5)
-    (59, 5)
-    """
-    return math.ceil(math.log(_ERROR) / math.log(share))
 
 
 def is_metric(name: str) -> bool:
@@ -95,7 +84,7 @@ def judge_run(label: str, values: Values, rows: Sequence[Mapping[str, Any]]) -> 
         if not values.get("converged", True):
             shown += " in a run that did not converge"
         text = f"{label}: {row['metric']} {shown}, {describe_limit(row)} is required: {word}."
-        found.append(Finding(label, row["metric"], word, text))
+        found.append(_find(label, row, word, text))
     return found
 
 
@@ -106,71 +95,50 @@ def judge_result(document: Mapping[str, Any], metrics: Mapping[str, Values]) -> 
 
 
 def judge_runs(
-    label: str, runs: Sequence[Values], rows: Sequence[Mapping[str, Any]], looks: Looks | None = None
+    label: str, runs: Sequence[Values], rows: Sequence[Mapping[str, Any]], *, sequential: bool = False
 ) -> list[Finding]:
     """Return whether enough of the runs meet each requirement; parameters as for :func:`judge_run`.
 
-    Runs that are looked at several times, while more are added until it is decided, have ``looks``.
+    ``sequential``: runs are added until it is decided, whatever the row plans.
     """
     found = []
     for row in rows if runs else ():
-        count, n, share = sum(_keeps(row, values) for values in runs), len(runs), float(row["share"])
-        held = _bound(count, n, share, looks)
-        word = decide(count, n, share, looks)
-        text = (
-            f"{label}: {row['metric']} is {describe_limit(row)} in {count} of {n} runs, "
-            f"{100 * held.low:.3g} to {100 * held.high:.3g} % of all, {100 * share:g} % are required: {word}"
-        )
+        kept, test = [_keeps(row, values) for values in runs], ShareTest.from_row(row, sequential)
+        word, after = test.decide(kept)
+        count, n, share = sum(kept[:after]), after, f"{100 * test.share:g} % are required: {word}"
+        text = f"{label}: {row['metric']} is {describe_limit(row)} in {count} of {n} runs"
+        if not test.sequential:
+            held = test.bound(count, n)
+            text += f", {100 * held.low:.3g} to {100 * held.high:.3g} % of all"
+        text += f", {share}"
         if word == UNDECIDED:
-            needed = count_deciding_runs(count, n, share, looks)
-            text += "; no number of runs decides it" if needed is None else f"; {needed} runs would decide it"
-        found.append(Finding(label, row["metric"], word, f"{text}."))
+            text += f"; {_advise(test, n)}"
+        found.append(_find(label, row, word, f"{text}."))
     return found
 
 
-def _bound(count: int, n: int, share: float, looks: Looks | None) -> Estimate:
-    """Return a fraction with its bounds; the looks that can decide share the error probability equally.
-
-    With fewer runs than show the share if all keep it the word cannot be `MET`, nor `MISSED` with fewer than
-    show that it is missed if none does: such a look takes no part.
-    """
-    numbers = [n] if looks is None else looks.numbers
-    low, high = (
-        estimate_rate(count, n, 1.0 - 2.0 * _ERROR / max(1, sum(one >= least for one in numbers)))
-        for least in (count_meeting_runs(share), count_meeting_runs(1.0 - share))
-    )
-    return Estimate(low.value, low.low, high.high)
+def _advise(test: ShareTest, n: int) -> str:
+    """Return the number of runs that would decide, in words."""
+    needed, percent = test.count_runs(), f"{100 * test.expected:.4g} %"
+    if needed is None:
+        return f"no number of runs shows it for a filter of which {percent} keep it"
+    if needed <= n:
+        return f"so few keep it that more than {needed} runs are needed; {percent} were expected"
+    return f"{needed} runs show it with {100 * (1.0 - test.beta):g} % if {percent} of all keep it"
 
 
-def decide(count: int, n: int, share: float, looks: Looks | None = None) -> str:
-    """Return the verdict on a required fraction if ``count`` of n runs meet it, at one of several looks.
-
-    Examples
-    --------
-    >>> decide(58, 58, 0.95), decide(59, 59, 0.95), decide(50, 59, 0.95)
-    ('undecided', 'met', 'missed')
-    """
-    held = _bound(count, n, share, looks)
-    return MET if held.low >= share else MISSED if held.high < share else UNDECIDED
+def _find(label: str, row: Mapping[str, Any], word: str, sentence: str) -> Finding:
+    return Finding(label, row["metric"], word, sentence, row.get("id") or "", row.get("text") or "")
 
 
-def count_deciding_runs(count: int, n: int, share: float, looks: Looks | None = None) -> int | None:
-    """Return the number of runs that would decide if the fraction stays the same; None for more than 100,000.
-
-    With ``looks`` so many are the most: what is looked at more often needs more.
-
-    Examples
-    --------
-    >>> count_deciding_runs(8, 8, 0.95)
-    59
-    """
-    more = n + 1
-    while more <= _MOST_RUNS:
-        most = looks and replace(looks, most=more)
-        if decide(round(count / n * more), more, share, most) != UNDECIDED:
-            return more
-        more += max(1, more // 200)
-    return None
+def trace(findings: Sequence[Finding]) -> FindingTable:
+    """Return the trace matrix of requirements: a row for each of a filter, with its verdict."""
+    names = ("id", "requirement", "filter", "verdict", "in words")
+    rows = []
+    for one in findings:
+        word = ShownText(one.word, find_look(one.word).kind)
+        rows.append((one.id, one.text or one.metric, one.label, word, one.sentence))
+    return make_table("requirements", "Requirements", names, rows)
 
 
 def take_value(row: Mapping[str, Any], values: Values) -> float | None:

@@ -11,7 +11,7 @@ from scipy.special import gammaincinv
 from bench.core.mathematics.arrays import BoolArray, FloatArray
 from bench.core.mathematics.units import HOUR
 from bench.evaluation.ensembles.ensemble import Estimate, estimate_fraction, estimate_rate
-from bench.evaluation.requirements.required_metrics import MET, MISSED, UNDECIDED
+from bench.evaluation.requirements.share_test import MET, MISSED, UNDECIDED
 
 WITHIN, OUTSIDE_PER_HOUR = 0.95, 1e-5
 """Required: share of the flight time within RNP, and probability of an hour with more than twice RNP."""

@@ -9,7 +9,8 @@ from xml.etree import ElementTree
 from bench.core.files import durable
 from bench.core.words.exceptions import ConfigError
 from bench.core.words.wording import one_line
-from bench.evaluation.requirements.required_metrics import MET, Finding
+from bench.evaluation.requirements.required_metrics import Finding
+from bench.evaluation.requirements.share_test import MET
 from bench.experiments.baselines.verdict_rows import Verdict
 
 
@@ -61,7 +62,12 @@ def write_requirements(path: Path, suite: str, findings: Sequence[Finding]) -> N
     counts = {"tests": len(findings), "failures": failed, "skipped": 0, "errors": 0}
     cases = _add(root, "testsuite", name=suite, **counts)
     for one in findings:
-        case = _add(cases, "testcase", classname=f"{suite}.{one.label}", name=one.metric)
+        name = f"{one.id} {one.metric}".strip()
+        case = _add(cases, "testcase", classname=f"{suite}.{one.label}", name=name)
+        if one.id or one.text:
+            properties = _add(case, "properties")
+            for name in ("id", "text"):
+                _add(properties, "property", name=f"requirement_{name}", value=getattr(one, name))
         if one.word != MET:
             _add(case, "failure", message=one.sentence)
     _write(path, root)

@@ -72,6 +72,8 @@ class Line(Table):
     sentence: str
     word: str = ""  # of consistency the verdict; COUNT: ``by_draw`` holds 1 where it happened, else 0
     by_draw: Annotated[tuple[float | None, ...], ROWS] = ()  # what the filter achieved itself
+    id: str = ""  # of a requirement, as its owner numbers it
+    text: str = ""  # of a requirement, as its owner words it
     over_bound: Annotated[tuple[float, float, float] | None, ROWS] = None  # of an error, with interval
 
 

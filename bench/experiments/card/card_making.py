@@ -19,7 +19,8 @@ from bench.core.words.notebook import draw, make_frame, write_sentences, write_t
 from bench.core.words.renames import FORMAT, check_format
 from bench.core.words.stages import Progress
 from bench.core.words.wording import one_line
-from bench.evaluation.requirements.required_metrics import MET, Finding
+from bench.evaluation.requirements.required_metrics import Finding
+from bench.evaluation.requirements.share_test import MET
 from bench.experiments.campaigns.plan import Plan, hash_estimator, plan_campaign
 from bench.experiments.campaigns.running import run_campaign
 from bench.experiments.card.card_bound import bound_errors_of
@@ -156,9 +157,9 @@ class Card(Table):
     def findings(self) -> tuple[Finding, ...]:
         """Return the verdicts on the requirements, by flight."""
         return tuple(
-            Finding(f"{line.flight}: {self.estimator}", line.figure, line.word, line.sentence)
-            for line in self.lines
-            if line.topic == "requirements"
+            Finding(f"{one.flight}: {self.estimator}", one.figure, one.word, one.sentence, one.id, one.text)
+            for one in self.lines
+            if one.topic == "requirements"
         )
 
 

@@ -43,7 +43,6 @@ from bench.evaluation.metrics.protection import (
     protect_fault_free,
 )
 from bench.evaluation.metrics.protection import MISSED as MISSED_DETECTION
-from bench.evaluation.requirements.required_metrics import MET, MISSED, UNDECIDED, decide
 from bench.evaluation.requirements.required_performance import (
     OUTSIDE_PER_HOUR,
     WITHIN,
@@ -55,6 +54,7 @@ from bench.evaluation.requirements.required_performance import (
     judge_rate,
     judge_share,
 )
+from bench.evaluation.requirements.share_test import MET, MISSED, UNDECIDED, ShareTest
 from bench.experiments.studies.stanford import PLANES, known_size, plot_stanford, tabulate_stanford
 from bench.experiments.studies.study import (
     FLOWN_BY,
@@ -358,7 +358,7 @@ def _list_integrity(planes: list[Watched], options: Options) -> Iterator[dict[st
     for plane, watched in zip(PLANES, planes, strict=True):
         beyond, told = count_detected(watched, options.time_to_alert_s)
         if beyond:
-            word = decide(told, beyond, _TOLD)
+            word, _ = ShareTest(_TOLD).decide([k < told for k in range(beyond)])
             title = (
                 f"flights whose errors beyond the limit are told in {options.time_to_alert_s:g} s, {plane}"
             )

@@ -67,6 +67,9 @@ def check_requirements(rows: Sequence[RequirementTable], choices: Sequence[Estim
             wrong.append(f"{place}: no metric {row.metric!r}: bench list metrics")
         if (row.most is None) == (row.least is None):
             wrong.append(f"{place}: give most or least, one of them")
+        if row.expected_share is not None and row.expected_share <= row.share:
+            least = quantity("share", row.share)
+            wrong.append(f"{place}: {quantity('expected_share', row.expected_share)} must be above {least}")
         if row.estimator is not None and row.estimator not in labels:
             wrong.append(f"{place}: no filter {row.estimator!r}; there are {', '.join(labels)}")
     return wrong

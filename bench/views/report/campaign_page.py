@@ -21,6 +21,7 @@ from bench.core.words.wording import format_number
 from bench.evaluation.ensembles.ensemble import CONFIDENCE
 from bench.evaluation.metrics.metric_words import find_words, name_metric
 from bench.evaluation.metrics.run_metrics import find_metric
+from bench.evaluation.requirements.required_metrics import trace
 from bench.experiments.campaigns.outcome import POOLED, RATIO, Campaign, Outcome, tabulate
 from bench.experiments.campaigns.plan import Condition
 from bench.io import results
@@ -93,6 +94,7 @@ def make_page(name: str, campaign: Campaign, comparisons: Sequence[Mapping[str, 
         sections=list(_draw_conditions(campaign, colors)),
         left_out=max(len(campaign.conditions) - _MOST_CONDITIONS, 0),
         extremes=_tabulate_extremes(campaign, labels),
+        required=trace(campaign.requirements),
         lost=make_table("lost", "", ("estimator", "reason", "command"), lost[:_MOST_LOST]),
         lost_count=len(lost),
         provenance=list(page.list_provenance(campaign.provenance)),

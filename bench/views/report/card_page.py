@@ -13,6 +13,7 @@ from bench.core.records.findings import FindingTable, make_table
 from bench.core.records.findings.looks import find_look
 from bench.core.words.notebook import ShownText
 from bench.core.words.wording import format_number
+from bench.evaluation.requirements.required_metrics import trace
 from bench.experiments.card.card_lines import CONVENTIONS, Line
 from bench.experiments.card.card_making import Card, describe_suite
 from bench.views.report import page
@@ -73,7 +74,11 @@ def write_card(path: Path, card: Card) -> None:
         suite=describe_suite(card),
         written=page.write_minute(datetime.now()),
         pictures=list(_draw(card)),
-        topics=[(title, _tabulate(own)) for title, own in topics.items() if own],
+        topics=[
+            (title, trace(card.findings) if title == _TITLES["requirements"] else _tabulate(own))
+            for title, own in topics.items()
+            if own
+        ],
         lost=make_table("lost", "", ("flight", "draw", "why", "repeat it"), lost),
     )
     durable.write(path, text)

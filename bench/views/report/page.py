@@ -24,6 +24,7 @@ from bench.evaluation.consistency.headline import NEES, make_headline
 from bench.evaluation.metrics.key_figures import MEANING, explain_rows, list_key_figures, tabulate_metrics
 from bench.evaluation.metrics.outages import DRIFT_MEANING, tabulate_drifts
 from bench.evaluation.metrics.run_metrics import find_metric
+from bench.evaluation.requirements.required_metrics import judge_result, trace
 from bench.io import results
 from bench.views.plots.content import Content, gather_content
 from bench.views.plots.facts import list_facts, list_units
@@ -87,6 +88,7 @@ def make_page(name: str, result: RunResult) -> str:
         all_figures=tabulate_metrics(result.metrics, _list_all(result.metrics), "All metrics"),
         meaning=MEANING,
         explanations=explain_rows(key_figures),
+        required=trace(judge_result(profile, result.metrics)),
         drifts=_tabulate_drifts(result),
         drift_meaning=DRIFT_MEANING,
         checks=result.more.get("validity", ()),

@@ -12,7 +12,8 @@ from bench.core.records.findings import FindingTable, make_table, series
 from bench.core.records.findings.series import Plot, Series
 from bench.evaluation.ensembles.ensemble import estimate_quantile
 from bench.evaluation.metrics.run_metrics import find_metric
-from bench.evaluation.requirements.required_metrics import EVERY, MET, UNDECIDED, describe_limit
+from bench.evaluation.requirements.required_metrics import EVERY, describe_limit
+from bench.evaluation.requirements.share_test import MET, UNDECIDED
 from bench.experiments.studies.study import format_estimate
 from bench.experiments.studies.unit_study.catalog_units import CLASSES, CatalogImu
 from bench.experiments.studies.unit_study.unit_limits import VarianceShares

@@ -17,7 +17,8 @@ from bench.core.mathematics.arrays import FloatArray
 from bench.core.words.wording import format_number
 from bench.evaluation.ensembles.ensemble import SAME, Estimate, estimate_rate, pool_rmse
 from bench.evaluation.ensembles.paired_draws import PairedRatio, compare_draws_of
-from bench.evaluation.requirements.required_metrics import MET, UNDECIDED, Finding
+from bench.evaluation.requirements.required_metrics import Finding
+from bench.evaluation.requirements.share_test import MET, UNDECIDED
 from bench.experiments.studies.unit_study.catalog_units import CLASSES
 
 _LEAST = 2  # runs that have an interval

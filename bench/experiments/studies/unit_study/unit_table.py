@@ -21,12 +21,12 @@ from bench.core.words.exceptions import ConfigError
 from bench.evaluation.linear.drift_laws import drift_sd
 from bench.evaluation.requirements.required_metrics import (
     Looks,
-    count_meeting_runs,
     is_metric,
     judge_runs,
     list_requirements,
     take_value,
 )
+from bench.evaluation.requirements.share_test import ShareTest
 from bench.experiments.campaigns.campaign_file import CampaignSpec
 from bench.experiments.campaigns.plan import plan_campaign
 from bench.experiments.studies.drawn_errors import UnitFlight
@@ -223,8 +223,8 @@ class _Flights:
         """Return the number of runs at each look, up to the largest."""
         most = self._options.max_runs
         if most is None:
-            shares = [float(row["share"]) for label in self.labels for row in self.required(label)]
-            most = max([_USUAL_MOST, *map(count_meeting_runs, shares)])
+            rows = (row for label in self.labels for row in self.required(label))
+            most = max([_USUAL_MOST, *(ShareTest.from_row(row, True).count_least() for row in rows)])
         return Looks(self._options.runs, most)
 
     def required(self, label: str) -> list[Mapping[str, Any]]:
@@ -250,6 +250,6 @@ class _Flights:
             rows = self._rows[label, UnitCase(name, filled or not unit.typical)]
             asked = {"metric": self.metric(label), "most": math.inf}
             values = [take_value(asked, row) if row["converged"] else None for row in rows]
-            findings = judge_runs(label, rows, self.required(label), self.looks)
+            findings = judge_runs(label, rows, self.required(label), sequential=True)
             flown.append(UnitFlown(name, unit.grade, np.array(values, float), tuple(findings)))
         return rank_units(flown, _ERROR / len(self.looks.numbers))
