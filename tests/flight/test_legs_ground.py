@@ -62,6 +62,13 @@ CESSNA = read_profile(
 LANDING = {**KINDS, "c172x": Kind(CESSNA, (2.0, 46.0), 500.0, 300.0, (2700.0, 120.0), 1.0, 1.4)}
 
 
+def test_it_stands_at_headings_and_latitudes_where_friction_creeps_longer():
+    """After 30 s the wheels still move at 0.06 mm/s here."""
+    creeping = {"start.lat_deg": -2.1, "start.heading_deg": 336.8, "leg.1.duration_s": 2.0}
+    flight = read_profile("static", {**creeping, "evaluation.from_s": 0.0}).flight
+    assert np.abs(fly(flight).vel_n).max() < 1e-5
+
+
 def height_of_cg(truth, aircraft) -> np.ndarray:
     """Height of the center of gravity above the ground [m]; truth is of the IMU."""
     return truth.lla[:, 2] - GROUND + rotation.rotate(truth.q_nb, np.array(aircraft.imu_b))[:, 2]
