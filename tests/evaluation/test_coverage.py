@@ -72,6 +72,39 @@ def test_the_share_counts_from_the_first_answer_on(flown):
     assert measure_coverage(silence(whole, (t > 10.0) & (t < 10.15)), data).enough  # one of 200
 
 
+@pytest.mark.parametrize("interval", [0.5, 1.0, 2.0])
+def test_a_filter_may_answer_at_its_own_rate(flown, interval):
+    """Judged at its own epochs: the errors are those of the same filter there, and nothing is carried on."""
+    data, whole, path = flown
+    profile = bench.read_profile(path)
+    truth = bench.fly(profile)
+    own = np.abs(whole.t / interval - np.round(whole.t / interval)) < 1e-6
+    slow = silence(whole, ~own)
+    found = measure_coverage(slow, data)
+    assert (found.share, found.interval) == (1.0, pytest.approx(interval))
+    assert found.text == f"answers 100 % of the epochs asked for, at its own rate of {1 / interval:.3g} Hz"
+    assert not find_silent_epochs(slow).any()
+    _, judged = bench.evaluation.judging.measure_solution(slow, truth, data, profile.evaluation, outages=())
+    rows = own & (whole.t >= profile.evaluation.begin)
+    error = earth.difference_n(slow.lla[rows], truth.lla[np.searchsorted(truth.t, whole.t[rows] - 1e-6)])
+    wanted = np.sqrt(np.mean(np.square(error[:, :2]).sum(axis=1)))
+    assert judged["pos_rmse_h_m"] == pytest.approx(wanted, rel=1e-6)
+    assert judged["converged"]
+
+
+def test_who_is_silent_where_it_errs_has_no_own_rate(flown):
+    """A silence of some of its intervals counts as long as it lasts; one every 5 s is none of a filter."""
+    data, whole, _ = flown
+    own = np.abs(whole.t - np.round(whole.t)) < 1e-6
+    gap = measure_coverage(silence(whole, ~own | ((whole.t > 8.5) & (whole.t < 12.5))), data)
+    assert gap.share == pytest.approx(17 / (17 + 4.9), rel=0.01)
+    assert gap.longest == (8.1, 12.9)
+    fives = np.abs(whole.t / 5.0 - np.round(whole.t / 5.0)) < 1e-6
+    assert measure_coverage(silence(whole, ~fives), data).interval is None
+    bursts = silence(whole, np.floor(whole.t) % 2 == 1)
+    assert measure_coverage(bursts, data).share < 0.6
+
+
 def test_silences_of_the_imu_are_excused_and_no_others(flown):
     data, whole, _ = flown
     quiet = silence(whole, (whole.t > 8.0) & (whole.t < 12.0))
@@ -165,7 +198,7 @@ def test_an_answer_carried_on_in_a_turn_leaves_it_along_the_tangent():
 
     def find_errors(velocity: np.ndarray) -> np.ndarray:
         quiet = silence(replace(solution, lla=lla, vel_n=velocity), since > 0.0)
-        found = carry_on(quiet, find_silent_epochs(quiet))
+        found = carry_on(quiet, since > 0.0)
         assert np.isnan(found.cov[since > 0.0]).all()
         return np.hypot(*earth.difference_n(found.lla, lla)[:, :2].T)
 

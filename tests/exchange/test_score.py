@@ -185,7 +185,7 @@ def test_rows_of_a_program_are_carried_on_and_owe_nothing_to_the_next():
     truth = turning(20.0, 100.0)
     made = wrong_solution(truth, every=20)  # five a second
     t = truth.t[::5]
-    found = carry_rows(as_read(made), t)
+    found = carry_rows(as_read(made), t, 0.4)
     age = np.arange(len(t)) % 4 * 0.05
     turned = 0.3 * age  # 25 m/s, 0.3 rad/s: the tangent leaves the circle
     expected = 25 / 0.3 * np.hypot(turned - np.sin(turned), 1 - np.cos(turned))
@@ -198,12 +198,14 @@ def test_rows_of_a_program_are_carried_on_and_owe_nothing_to_the_next():
         ahead = replace(made, lla=made.lla + 1e-5 * late, q_nb=np.where(late, -made.q_nb, made.q_nb))
         before = t < made.t[k] - 1e-9
         for name in ("lla", "q_nb"):
-            moved = getattr(carry_rows(as_read(ahead), t), name)
+            moved = getattr(carry_rows(as_read(ahead), t, 0.4), name)
             assert_array_equal(moved[before], getattr(found, name)[before])
     ((_, _, told),) = found.events.select("carried_on")
     assert told == "300 of 401 epochs lie between rows, up to 0.15 s after the one before"
-    ended = carry_rows(as_read(taken(made, made.t < 10.1)), t)
-    assert_array_equal(np.isfinite(ended.lla).all(axis=1), t < 10.4 + 1e-6)  # twice the usual interval
+    ended = carry_rows(as_read(taken(made, made.t < 10.1)), t, 0.4)
+    assert_array_equal(np.isfinite(ended.lla).all(axis=1), t < 10.4 + 1e-6)
+    own = carry_rows(as_read(replace(made, t=made.t - 0.01)), t)  # each counts once, at the epoch after it
+    assert_array_equal(np.isfinite(own.lla).all(axis=1), age == 0.0)
 
 
 def as_read(made: NavSolution):

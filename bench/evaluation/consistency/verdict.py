@@ -119,6 +119,8 @@ def add_verdict(
         covered = {"coverage_text": f"{label} {coverage.text}."}
         if coverage.share < 1.0:  # of what is whole nothing need be said
             text = f"{covered['coverage_text']} With its last answer carried on over silences: {text}"
+        elif coverage.interval is not None:
+            text = f"{covered['coverage_text']} {text}"
         if not coverage.enough:
             good = values["converged"]
             word = INCOMPLETE if good else word

@@ -23,6 +23,7 @@ from bench.evaluation.metrics.coverage import carry_positions
 INTERPOLATED, CARRIED = "interpolated", "carried_on"
 """Kinds of events: epochs between rows, and what is taken there."""
 
+_SLOWER = 1.5  # intervals of the epochs between two rows of a table that has a rate of its own [1]
 _GAPS, _LONGEST = 2.0, 2.0  # longest interpolated interval: median intervals, and [s]
 
 
@@ -111,9 +112,15 @@ def _choose_longest(solution: ForeignSolution, longest: float | None) -> float:
 def carry_rows(solution: ForeignSolution, t: FloatArray, longest: float | None = None) -> NavSolution:
     """Return a solution at other times, with each row extrapolated until the next row by its velocity.
 
-    Parameters as for :func:`resample`; ``longest`` is the longest time that a row is carried on [s].
+    Parameters as for :func:`resample`; ``longest`` is the longest time that a row is carried on [s]. By
+    default a row of a table that is slower than ``t`` counts at the first time from its own on, and at no
+    other: the table is evaluated at its own rate.
     """
     most = _choose_longest(solution, longest)
+    if longest is None and len(t) > 1 and len(solution) > 1:
+        step = float(np.median(np.diff(t)))
+        if np.median(np.diff(solution.t)) > _SLOWER * step:
+            most = step - 2.0 * SAME_INSTANT
     row = np.searchsorted(solution.t, t + SAME_INSTANT, "right") - 1  # the last row not after t
     begun = row >= 0
     row = np.maximum(row, 0)

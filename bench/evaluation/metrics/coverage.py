@@ -3,6 +3,9 @@
 Each estimated block (position, velocity, attitude) counts at every time from its first answer on. An epoch
 without an answer gets the error of the last answer, extrapolated by its own velocity: a filter without
 answers where its errors are large must not look better than a filter that answers.
+
+A filter may answer at its own rate. Its answers are then evaluated at their own epochs and nothing is
+interpolated; what is asked for is an answer in each of its intervals.
 """
 
 from __future__ import annotations
@@ -23,7 +26,8 @@ ENOUGH = 0.99
 """Share of the epochs that each block of a solution has to answer [1]."""
 
 _LATE = 1.0  # a first answer later than this after the first epoch is mentioned [s]
-_GAP = 1.5  # so many times its usual interval a sensor was silent [1]
+_GAP = 1.5  # so many times its usual interval a sensor, or a filter, was silent [1]
+_SLOWEST = 2.0  # longest interval of the answers of a filter: one that is silent for longer is silent [s]
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +38,7 @@ class Coverage:
     waited: float  # from the first epoch asked for to the first answer [s]
     first: float | None  # the first answer [s], if it came late
     longest: tuple[float, float]  # first and last epoch of the longest run without an answer [s]
+    interval: float | None = None  # of its answers, if it is longer than that of the epochs [s]
 
     @property
     def share(self) -> float:
@@ -55,6 +60,8 @@ class Coverage:
         else:
             parts = [f"{TITLES[block]} at {share}" for block, share in shares.items()]
             text = f"answers {', '.join(parts)} of the epochs asked for"
+        if self.interval is not None:
+            text = f"{text}, at its own rate of {1.0 / self.interval:.3g} Hz"
         late = " from its first answer on" if self.first is not None else ""
         silence = f", with the longest silence from {begin:g} to {end:g} s" if self.share < 1.0 else ""
         return text + late + silence
@@ -70,18 +77,43 @@ def measure_coverage(solution: NavSolution, data: SensorData | None) -> Coverage
     if not answered.any():
         return Coverage({}, 0.0, None, (0.0, 0.0))  # that is another verdict
     first = int(np.argmax(answered))
-    counted = np.arange(len(t)) >= first
+    interval, between = find_own_rate(solution)
+    counted = (np.arange(len(t)) >= first) & ~between
     excused = find_excused(solution, data)
+    weight = 1.0 if interval is None else float(np.median(np.diff(t))) / interval
     shares, lost = {}, np.zeros(len(t), np.bool_)
     for block, column in VALUES.items():
         there = answered & np.isfinite(getattr(solution, column)).all(axis=1)
         if not there.any():
             continue
         asked = counted & (there | ~excused)
-        shares[block] = float(there[asked].mean())
-        lost |= asked & ~there
+        missing = asked & ~there
+        shares[block] = float(there.sum() / (there.sum() + weight * missing.sum()))
+        lost |= missing
     begun = float(t[first]) if t[first] > t[0] + _LATE else None
-    return Coverage(shares, float(t[first] - t[0]), begun, find_longest(t, np.flatnonzero(lost)))
+    longest = find_longest(t, np.flatnonzero(lost))
+    return Coverage(shares, float(t[first] - t[0]), begun, longest, interval)
+
+
+def find_own_rate(solution: NavSolution) -> tuple[float | None, BoolArray]:
+    """Return the interval of the answers [s], and a mask (M,) of the epochs between them.
+
+    None and no epochs for a filter that answers each epoch, or less often than every 2 s. Epochs in a gap of
+    more than 1.5 intervals are not between answers: there it is silent.
+    """
+    t, answered = solution.t, find_answered_epochs(solution)
+    between, at = np.zeros(len(t), np.bool_), np.flatnonzero(answered)
+    if len(at) < 3:
+        return None, between
+    gaps = np.diff(t[at])
+    interval = float(np.median(gaps))
+    if not _GAP * float(np.median(np.diff(t))) < interval <= _SLOWEST + SAME_INSTANT:
+        return None, between
+    inside = np.arange(at[0], len(t))
+    gaps = np.append(gaps, t[-1] - t[at[-1]])
+    short = gaps[np.searchsorted(at, inside, "right") - 1] <= _GAP * interval
+    between[inside] = short & ~answered[inside]
+    return interval, between
 
 
 def find_longest(t: FloatArray, lost: IntArray) -> tuple[float, float]:
@@ -124,9 +156,9 @@ def is_silent(t: FloatArray, reports: FloatArray) -> BoolArray:
 
 
 def find_silent_epochs(solution: NavSolution) -> BoolArray:
-    """Return a mask (M,) of the epochs without a solution after the first solution."""
+    """Return a mask (M,) of the epochs without a solution after the first, and not between its own epochs."""
     answered = find_answered_epochs(solution)
-    return ~answered & (np.cumsum(answered) > 0)
+    return ~answered & (np.cumsum(answered) > 0) & ~find_own_rate(solution)[1]
 
 
 def carry_on(solution: NavSolution, silent: BoolArray) -> NavSolution:

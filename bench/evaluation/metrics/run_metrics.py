@@ -40,6 +40,7 @@ from bench.evaluation.metrics.coverage import (
     Coverage,
     carry_on,
     find_excused,
+    find_own_rate,
     find_silent_epochs,
     measure_coverage,
 )
@@ -332,7 +333,7 @@ def measure(
         evaluation,
         outages=outages,
         faults=faults,
-        missing=solution.t[~rows],
+        missing=solution.t[~rows & ~find_own_rate(solution)[1]],
         assumed=assumed,
         drawn=drawn,
         factored=True,
