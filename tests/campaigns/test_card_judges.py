@@ -25,7 +25,7 @@ from bench.experiments.card.card_suite import FULL, LATE, QUICK, VERSION, Suite,
 from bench.io.config import read_profile
 from bench.navigation.causality import LookAhead
 from tests.campaigns.test_campaign import PROFILE
-from tests.campaigns.test_card_lines import make_card, make_line
+from tests.campaigns.test_card_lines import RARE, make_card, make_line
 
 NO, SOME = LookAhead(0.0, whole=False, repeatable=True), LookAhead(0.4, whole=False, repeatable=True)
 MORE, DICE = LookAhead(2.0, whole=True, repeatable=True), LookAhead(0.0, whole=False, repeatable=False)
@@ -315,8 +315,11 @@ def test_counts_are_told_without_a_test():
 @pytest.mark.parametrize(
     ("topic", "figure", "flight", "differs", "told"),
     [
-        ("tilt", "tilt", "f", True, "f: tilt of a 0.500 times that of b (0.500 to 0.500): a is better."),
-        ("tilt", "tilt", "f", None, "f: tilt of a 0.500 times that of b (0.500 to 0.500)."),
+        (
+            "tilt", "tilt", "f", True,
+            f"f: tilt of a 0.500 times that of b (0.500 to 0.500{RARE}): a is better.",
+        ),
+        ("tilt", "tilt", "f", None, f"f: tilt of a 0.500 times that of b (0.500 to 0.500{RARE})."),
         ("honesty", "NEES", "f", True, "f: NEES is 1.20 and 2.00 times its expectation: a is nearer."),
         (
             "honesty", "NEES", "all flights", True,
@@ -342,7 +345,7 @@ def test_what_is_not_proven_says_what_would_be_found():
     low, high, ratio = np.exp(
         [0.1 - 0.1 * t.ppf(0.975), 0.1 + 0.1 * t.ppf(0.975), 0.1 * (t.ppf(0.975) + t.ppf(0.8))]
     )
-    told = f"f: tilt of a 1.11 times that of b ({write_figure(low)} to {write_figure(high)})"
+    told = f"f: tilt of a 1.11 times that of b ({write_figure(low)} to {write_figure(high)}{RARE})"
     assert (
         found.sentence
         == f"{told}: not proven to differ; a ratio of {write_figure(ratio)} would be found in 80%."

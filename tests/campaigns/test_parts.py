@@ -475,7 +475,7 @@ def test_figures_are_of_the_runs_that_converged_after_the_alignment():
     assert (found.condition, found.runs, found.converged_runs) == ("p, a = 1", 50, 49)
     assert found.consistency is not None
     assert found.consistency.mean == pytest.approx(kept[1:, 1:7, -1].mean(), rel=1e-5)
-    for less in (make_group(kept[:40], [k > 0 for k in range(40)]), make_group(kept, [True] * 50, states=0)):
+    for less in (make_group(kept[:8], [k > 0 for k in range(8)]), make_group(kept, [True] * 50, states=0)):
         assert outcome.summarize(less).consistency is None
     few = outcome.summarize(make_group(kept[:3], [True, False, False]))
     assert (few.errors, few.converged.value, few.lost) == ({}, pytest.approx(1 / 3), "late")

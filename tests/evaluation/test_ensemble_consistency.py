@@ -9,8 +9,10 @@ import pytest
 from scipy.stats import binom, chi2, t
 
 from bench.evaluation.consistency.chi_square import SensorNis
-from bench.evaluation.ensembles.ensemble_consistency import INSTANTS, LEAST_RUNS, check_consistency
+from bench.evaluation.ensembles.ensemble_consistency import INSTANTS, check_consistency
 from tests.evaluation.power import EPOCHS, STATES, draw_nees
+
+RUNS = 40
 
 
 def nees_of_ensembles(seed, ensembles, runs):
@@ -28,14 +30,14 @@ def test_false_alarms_are_below_2_percent_with_errors_that_last_the_run():
     A rule that rejects 3 % of them fails this test with a probability of 96 %.
     """
     count = 4000
-    rejected = count_rejected(nees_of_ensembles(1, count, LEAST_RUNS))
+    rejected = count_rejected(nees_of_ensembles(1, count, RUNS))
     assert rejected <= binom.ppf(0.999, count, 0.02)
 
 
 def test_a_covariance_25_percent_too_small_is_found():
     """P 0.75 of what is right makes NEES 4/3: 40 runs find it in at least 90 %, by the same count."""
     count = 1000
-    found = count_rejected(nees_of_ensembles(2, count, LEAST_RUNS) / 0.75)
+    found = count_rejected(nees_of_ensembles(2, count, RUNS) / 0.75)
     assert found >= binom.ppf(0.001, count, 0.9)
 
 
@@ -52,8 +54,9 @@ def test_a_matched_filter_is_consistent_with_its_interval_and_bands():
     result = check_consistency(nees, STATES, {})
     assert (result.word, result.reasons, result.runs_to_decide) == ("consistent", (), None)
     averages = nees.mean(axis=1) / STATES
-    reach = t.ppf(0.9975, 199) * averages.std(ddof=1) / np.sqrt(200)
-    assert (result.low, result.high) == pytest.approx((averages.mean() - reach, averages.mean() + reach))
+    mean, c = averages.mean(), averages.var(ddof=1) / (9 * 200 * averages.mean() ** 2)
+    for end, p in ((result.low, 0.99), (result.high, 0.01)):  # the mean of which ours is that quantile
+        assert np.cbrt(mean / end) == pytest.approx(1 - c + t.ppf(p, 199) * np.sqrt(c))
     tail = 0.005 / INSTANTS / 2
     assert result.band == pytest.approx(chi2.ppf([tail, 1 - tail], STATES * 200) / 200)
     assert result.instants.tolist() == [0, 2, 4, 6, 8, 10]
@@ -70,8 +73,11 @@ def test_undecided_says_how_many_runs_would_decide():
     averages = STATES * (1.2 + 0.25 * np.where(np.arange(40) % 2, 1.0, -1.0))
     result = check_consistency(np.tile(averages[:, None], (1, 3)), STATES, {})
     assert result.word == "undecided"
-    assert "about 228 runs would decide" in result.sentence  # 40 (0.119 / 0.05)^2
-    more = STATES * (1.2 + 0.25 * np.where(np.arange(228) % 2, 1.0, -1.0))
+    half = 0.5 * (result.high - result.low)
+    assert half == pytest.approx(t.ppf(0.99, 39) * 0.25 / np.sqrt(39), rel=0.02)
+    needed = int(np.ceil(40 * (half / 0.05) ** 2))
+    assert f"about {needed} runs would decide" in result.sentence
+    more = STATES * (1.2 + 0.25 * np.where(np.arange(needed + 2) % 2, 1.0, -1.0))
     assert check_consistency(np.tile(more[:, None], (1, 3)), STATES, {}).word == "consistent"
 
 
@@ -106,7 +112,7 @@ def test_nees_that_is_not_finite_is_overconfident():
     assert result.word == "overconfident"
 
 
-@pytest.mark.parametrize("shape", [(39, 10), (40, 0)])
+@pytest.mark.parametrize("shape", [(7, 10), (8, 0)])
 def test_too_few_runs_or_epochs_are_an_error(shape):
-    with pytest.raises(ValueError, match="at least 40 runs and 1 epoch"):
+    with pytest.raises(ValueError, match="at least 8 runs and 1 epoch"):
         check_consistency(np.ones(shape), STATES, {})

@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose
 from scipy.stats import multivariate_normal, norm
 
 from bench.core.records.data import Innovations
-from bench.evaluation.consistency.log_score import score_claims, score_innovations
+from bench.evaluation.consistency.log_score import score_block, score_claims, score_innovations
 from bench.evaluation.errors.error_series import error_series
 from tests.evaluation.solutions import weaving_truth, without, wrong_solution
 
@@ -28,6 +28,15 @@ def test_a_claim_scores_as_its_normal_density():
     for wrong in (-np.eye(9), np.full((9, 9), np.nan)):
         one = wrong_solution(truth, cov=wrong)
         assert np.isnan(score_claims(error_series(truth, one), one)).all()
+
+
+def test_a_block_scores_as_its_normal_density():
+    random = np.random.default_rng(4)
+    A, e = random.standard_normal((5, 3, 3)), random.standard_normal((5, 3))
+    cov = A @ A.transpose(0, 2, 1) + 0.1 * np.eye(3)
+    expected = [-multivariate_normal(np.zeros(3), P).logpdf(x) for P, x in zip(cov, e, strict=True)]
+    assert_allclose(score_block(e, cov), np.array(expected) - 1.5 * np.log(2.0 * np.pi), rtol=1e-9)
+    assert np.isnan(score_block(e[:1], -cov[:1])).all()
 
 
 def test_an_innovation_scores_as_its_normal_density():

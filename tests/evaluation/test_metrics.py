@@ -327,6 +327,36 @@ def test_coverage_is_the_fraction_of_epochs_within_3_sigma_by_axis(truth):
             assert found[f"coverage_3sigma_{name}"] == pytest.approx(expected.get(name, 1.0)), name
 
 
+def test_blocks_and_axes_have_their_nees_their_score_and_their_coverage(truth):
+    """Errors of 2 and 0.5 sigma north with a correlation of 0.6 to the east, which only the block sees."""
+    P = COV.copy()
+    P[0, 1] = P[1, 0] = 0.6 * 4.0
+    pos_n = np.zeros((201, 3))
+    pos_n[:50, 0], pos_n[50:, 0] = 4.0 * 1.001, 1.0
+    found = metrics_of(truth, wrong_solution(truth, pos_n=pos_n, cov=P))
+    axis = (50 * (2.0 * 1.001) ** 2 + 151 * 0.25) / 201
+    assert found["nees_ratio_pos_n"] == pytest.approx(axis, rel=1e-5)
+    assert found["nees_ratio_pos"] == pytest.approx(axis / (1.0 - 0.6**2) / 3.0, rel=1e-5)
+    assert found["nees_ratio_vel"] == pytest.approx(0.0, abs=1e-9)
+    score = 0.5 * (axis / 0.64 + np.log(np.linalg.det(P[:3, :3])))
+    assert found["log_score_pos"] == pytest.approx(score, rel=1e-5)
+    assert found["log_score_phi"] == pytest.approx(0.5 * np.log(np.linalg.det(P[6:, 6:])), rel=1e-6)
+    assert (found["coverage_1sigma_pos_n"], found["coverage_2sigma_pos_n"]) == pytest.approx([151 / 201] * 2)
+    assert found["coverage_3sigma_pos_n"] == found["coverage_1sigma_pos_e"] == 1.0
+
+
+def test_blocks_without_a_covariance_have_no_nees(truth):
+    found = metrics_of(truth, without(wrong_solution(truth), "vel"))
+    for start in ("nees_ratio", "log_score", "coverage_2sigma"):
+        assert f"{start}_pos{'_n' * start.startswith('cov')}" in found
+        assert not [name for name in found if name.startswith(f"{start}_vel")]
+    indefinite = COV.copy()
+    indefinite[0, 1] = indefinite[1, 0] = 5.0
+    lost = metrics_of(truth, wrong_solution(truth, cov=indefinite))
+    assert lost["nees_ratio_pos"] is lost["log_score_pos"] is None
+    assert lost["nees_ratio_vel"] is not None
+
+
 def test_nis_metrics_count_a_sub_vector_once_and_keep_refused_updates(truth):
     found = metrics_of(truth, wrong_solution(truth, innovations=some_innovations()))
     assert found["nis_mean_gnss_position"] == pytest.approx(10.0)  # mean of 1..19

@@ -17,7 +17,7 @@ def test_twice_the_error_of_the_same_draws_is_a_ratio_of_a_half():
     assert (pair.word, pair.draws, pair.deciding) == ("better", 4, None)
     assert pair.ratio.value == pytest.approx(0.5)
     assert pair.ratio.high - pair.ratio.low < 1e-9
-    assert pair.sentence == "a over b 0.5 (0.5 to 0.5): better"
+    assert pair.sentence == "a over b 0.5 (0.5 to 0.5, if no rare large run exists): better"
     assert compare_draws_of(NAMES, 2.0 * values, values).word == "worse"
 
 

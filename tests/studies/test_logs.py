@@ -221,8 +221,10 @@ def test_words_tables_and_pictures_of_logs_by_hand():
     assert list(recorded_logs.tell_logs(found, LABELS, 3, told)) == [
         "first, 3 logs: consistent on 2.",
         "second, 3 logs: overconfident on 1, diverged on 1.",
-        "second: horizontal error 2 (1.5 to 3) times that of first on 5 logs: worse.",
-        "second: velocity error 2 (1.5 to 3) times that of first on 4 logs: better.",
+        "second: horizontal error 2 (1.5 to 3) times that of first on 5 logs"
+        ", if no rare large run exists: worse.",
+        "second: velocity error 2 (1.5 to 3) times that of first on 4 logs"
+        ", if no rare large run exists: better.",
         "1 of 3 comparisons with first are undecided; the table has them.",
         "b, second: 1 km off",
         "c: it is empty",

@@ -13,12 +13,13 @@ from rich.text import Text
 from bench.cli.verbs.card_screen import print_card
 from bench.cli.verbs.console import show_bar
 from bench.cli.verbs.flight_verbs import find_own_estimators
-from bench.cli.verbs.printing import print_findings, print_table
+from bench.cli.verbs.printing import print_findings, print_table, print_wrapped
 from bench.core.records.findings import FindingTable
 from bench.core.records.findings.looks import find_look
 from bench.core.records.specs import Guard
 from bench.core.words.notebook import ShownFigure
 from bench.core.words.stages import Progress
+from bench.evaluation.ensembles.ensemble import qualify
 from bench.evaluation.metrics.metric_words import find_words, name_metric
 from bench.experiments.baselines.junit import check_required, write_requirements
 from bench.experiments.campaigns import plan, running
@@ -104,11 +105,19 @@ def print_campaign(console: Console, result: Campaign, *, table: bool = False) -
     if result.outcomes and not (several or table):
         print_table(console, _summarize(result.outcomes))
     if result.outcomes:
-        console.print("Pooled over all runs that converged; 95 % intervals (NEES 99.5 %).", style="dim")
+        note = f"Pooled over all runs that converged; 95 % intervals (NEES 98 %){qualify(result.fewest)}"
+        print_wrapped(console, f"{note}.", "dim")
     sentences = [one.sentence for one in result.requirements] if several else result.sentences
     lost = [f"{one.condition}: {one.sentences[0]}" for one in result.outcomes if one.lost] if several else []
     if several:
-        console.print(f"{results.CAMPAIGN_RESULT} has the verdicts of each condition.", style="dim")
+        console.print(
+            f"{results.CAMPAIGN_RESULT} has the verdicts and large runs of each condition.", style="dim"
+        )
+    if table and not several:
+        sentences = (
+            *sentences,
+            *(f"{one.label}, {text}" for one in result.outcomes for text in one.scatter[1:]),
+        )
     print_findings(console, sentences)
     _print_failures(console, lost, f"conditions have such runs; {results.CAMPAIGN_RESULT} says why.")
     failures = [f"failed: {reason}; {command}" for command, reason in result.failed.items()]

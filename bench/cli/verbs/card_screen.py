@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
+import numpy as np
 from rich.console import Console
 
 from bench.cli.verbs.printing import print_table, print_wrapped
 from bench.core.records.findings import FindingTable
 from bench.core.records.findings.looks import find_look
 from bench.core.words.notebook import ShownFigure
+from bench.evaluation.ensembles.ensemble import qualify
+from bench.evaluation.ensembles.rare_runs import measure_scatter
 from bench.experiments.card.card_lines import CONVENTIONS, COUNT, Line, write_figure
 from bench.experiments.card.card_making import Card, LostDraw, describe_suite
 
@@ -32,9 +35,13 @@ def print_card(console: Console, card: Card) -> None:
     print_table(console, FindingTable("card", "", heads))
     for text in _explain(card, rows):
         print_wrapped(console, text, "bold red" if text[0] == "✗" else "")
-    print_wrapped(
-        console, f"error ratio: horizontal error / horizontal error of {card.against}, same noise", "dim"
-    )
+    text = f"error ratio: horizontal error / horizontal error of {card.against}, same noise"
+    errors = [[x for x in line.by_draw if x is not None] for line in card.lines if line.topic == "accuracy"]
+    scatters = [measure_scatter(np.array(one)) for one in errors if one]
+    if scatters:  # the flight with the most large runs, or with the largest one
+        worst = max(scatters, key=lambda one: (one.most, one.share))
+        text += f"{qualify(card.draws)}; at most {worst.large_words}"
+    print_wrapped(console, text, "dim")
     print_wrapped(console, describe_suite(card), "dim")
 
 
@@ -51,6 +58,7 @@ class _CardRow:
         self.ratio = write_figure(error.value) if error else "-"
         self.interval = f"{write_figure(error.low)} to {write_figure(error.high)}" if error else "-"
         self.nees = write_figure(claim.value) if claim else "-"
+        self.sentence = claim.sentence if claim else ""
         self.value = claim.value if claim else None
         self.word = claim.word if claim else "no covariance"
         shown = f"{card.draws - len(good)} diverged" if self.lost else self.word
@@ -66,11 +74,13 @@ def _explain(card: Card, rows: list[_CardRow]) -> Iterator[str]:
     broken = [row for row in rows if row.word in _BROKEN]
     if broken:
         values = sorted(row.value for row in broken if row.value is not None)
+        told = broken[0].sentence.rpartition(": ")[2].rstrip(".")
+        told = f"; {broken[0].flight}: {told}" if " in " in told else ""
         nees = " to ".join(dict.fromkeys(map(write_figure, (values[0], values[-1]))))
         command = card.commands[broken[0].flight]
         yield (
             f"✗ {broken[0].word if len({row.word for row in broken}) == 1 else 'not consistent'} on "
-            f"{len(broken)} flight{'s' if len(broken) > 1 else ''}: NEES {nees} times its ideal value. "
+            f"{len(broken)} flight{'s' if len(broken) > 1 else ''}: NEES {nees} times its ideal value{told}. "
             f"Find the cause of the first: {command}"
         )
     by_flight: dict[str, list[LostDraw]] = {}

@@ -30,7 +30,7 @@ from bench.io.config.listing import PROFILES
 from bench.io.config.log import is_datasheet
 
 _MOST_NAMES = 8  # of metrics that are undecided
-_WORDS = get_args(Word)[::-1]
+_WORDS = (*get_args(Word)[::-1], "within tolerance")
 
 
 def list_sources(sources: Sequence[str], console: Console) -> list[str]:
@@ -119,13 +119,16 @@ def print_verdicts(console: Console, verdicts: Sequence[Verdict]) -> None:
         rows = [row for row in verdicts if (row.profile, row.estimator) == (profile, estimator)]
         proven = [row for row in rows if row.word in ("better", "worse")]
         undecided = [row.metric for row in rows if row.word == "undecided"]
-        counts = Counter[str](row.word for row in rows)
+        counts = Counter[str](row.told for row in rows)
         words = ", ".join(f"{counts[word]} {word}" for word in _WORDS if counts[word])
         draws = max(row.draws for row in rows)
         how = next((f"; {match}" for match in MATCHES if any(row.note.endswith(match) for row in rows)), "")
         console.print(f"{profile}, {estimator}: {words} ({draws} runs{how})", soft_wrap=True)
+        rare = max((row.rare for row in proven), default="")
         if proven:
             print_table(console, tabulate_verdicts(proven))
+        if rare:
+            console.print(f"Intervals of RMSEs hold{rare.removeprefix(',')}.", style="dim")
         if undecided:
             more = len(undecided) - _MOST_NAMES
             rest = f" and {more} more (--json has their intervals)" if more > 0 else ""
@@ -153,7 +156,8 @@ def _count_profiles(verdicts: Sequence[Verdict], profiles: Sequence[str]) -> str
             parts.append(
                 f"{word} on {len(names)} of {len(profiles)} ({', '.join(names[:_MOST_NAMES])}{more})"
             )
-    return "; ".join(parts) or f"the same on all {len(profiles)}"
+    whole = "the same" if all(row.told == "same" for row in verdicts) else "within tolerance"
+    return "; ".join(parts) or f"{whole} on all {len(profiles)}"
 
 
 def tabulate_verdicts(

@@ -20,6 +20,7 @@ from bench.core.records.findings.looks import find_look
 from bench.core.words.exceptions import ConfigError
 from bench.core.words.stages import Progress
 from bench.core.words.wording import format_number
+from bench.evaluation.ensembles.ensemble import qualify
 from bench.evaluation.metrics.key_figures import is_key_figure
 from bench.evaluation.metrics.metric_words import name_metric
 from bench.experiments.baselines.comparing import ONE_DRAW, Compared, compare_results
@@ -123,7 +124,7 @@ def _describe_comparison(one: Compared) -> dict[str, Any]:
         "meaning": "One run each: no interval, so chance is not separated from a difference"
         if single
         else "Pooled over the runs. Change: of the second from the first, with its interval; above 0 is "
-        "worse. 99 % confidence over all rows",
+        f"worse. 99 % confidence over all rows{qualify(min((row.draws for row in one.verdicts), default=0))}",
         "rows": [
             {
                 "estimator": row.estimator,
@@ -131,7 +132,7 @@ def _describe_comparison(one: Compared) -> dict[str, Any]:
                 "name": row.metric,
                 "old": format_number(row.old),
                 "new": format_number(row.new),
-                "word": row.word,
+                "word": row.told,
                 "kind": find_look(row.word).kind,
                 "change": row.format_change() or row.note,
             }

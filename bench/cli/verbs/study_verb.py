@@ -15,6 +15,7 @@ from bench.cli.verbs.printing import MOST_ROWS, measure_table, print_table, prin
 from bench.core.records.findings import FindingTable, StudyResult
 from bench.core.words.stages import Progress
 from bench.core.words.wording import format_count
+from bench.evaluation.ensembles.ensemble import qualify
 from bench.experiments.studies.conducting import study
 from bench.io import results
 from bench.views.report.writing import write_report
@@ -54,6 +55,8 @@ def print_study(console: Console, result: StudyResult, *, table: bool) -> None:
         )
         if more:
             console.print(f"{', '.join(more)}: --table prints all", style="dim")
+    if words := result.findings.runs and qualify(result.findings.runs):
+        print_wrapped(console, f"Intervals of pooled errors hold{words.removeprefix(',')}.", "dim")
     print_wrapped(console, f"{result.command}  ({result.wall_s:.1f} s)", "dim")
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from bench.core.mathematics.arrays import FloatArray
 from bench.core.records.data import Innovations, NavSolution
 from bench.core.records.run_records import ErrorSeries
-from bench.evaluation.errors.error_series import BLOCKS, claimed_blocks
+from bench.evaluation.errors.error_series import BLOCKS, claimed_blocks, normalized_squares
 
 
 def score_claims(errors: ErrorSeries, solution: NavSolution) -> FloatArray:
@@ -30,6 +30,15 @@ def score_claims(errors: ErrorSeries, solution: NavSolution) -> FloatArray:
         sign, scaled = np.linalg.slogdet(cov / (sd[:, :, None] * sd[:, None, :]))
         log_det = np.where(sign > 0.0, scaled, np.nan) + 2.0 * np.log(sd).sum(axis=1)
         return np.asarray(0.5 * (errors.nees + log_det))
+
+
+def score_block(error: FloatArray, cov: FloatArray) -> FloatArray:
+    """Return the score (M,) [1] of errors (M, 3) with covariances (M, 3, 3); NaN where not positive."""
+    with np.errstate(all="ignore"):
+        sd = np.sqrt(np.einsum("kii->ki", cov))
+        a, b, c = (cov[:, i, j] / (sd[:, i] * sd[:, j]) for i, j in ((1, 0), (2, 0), (2, 1)))
+        log_det = np.log(1.0 + 2.0 * a * b * c - a * a - b * b - c * c) + 2.0 * np.log(sd).sum(axis=1)
+        return np.asarray(0.5 * (normalized_squares(error, cov) + log_det))
 
 
 def score_innovations(innovations: Innovations) -> FloatArray:

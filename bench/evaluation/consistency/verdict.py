@@ -9,6 +9,7 @@ import numpy as np
 
 from bench.core.words.wording import format_number
 from bench.evaluation.errors.error_series import (
+    AXIS_TITLES,
     DIVERGED_HEADING,
     DIVERGED_HEIGHT,
     DIVERGED_HORIZONTAL,
@@ -33,17 +34,6 @@ UNDECIDED = "undecided"
 NOT_EVALUATED = "not evaluated"
 """Verdict where nothing can judge: no truth, no fix that it has not used, and innovations that fit."""
 
-_AXES = {
-    "pos_d": "height",
-    "pos_n": "north",
-    "pos_e": "east",
-    "vel_n": "north velocity",
-    "vel_e": "east velocity",
-    "vel_d": "vertical velocity",
-    "phi_d": "heading",
-    "phi_n": "tilt about north",
-    "phi_e": "tilt about east",
-}
 _LEAST_INSIDE = 0.9  # an axis that is longer outside 3 sigma is named, even if one run allows it [1]
 _SMALLEST = float(np.sqrt(-2.0 * np.log(0.95))) / RAYLEIGH_95  # 5 % quantile over the 95 % radius [1]
 
@@ -166,7 +156,7 @@ def _judge(label: str, values: Mapping[str, Any]) -> _Judgment:
     if inside and min(inside) < 0.99:
         axis = ("north", "east")[inside.index(min(inside))] if len(inside) == 2 else "horizontal"
         figures += f"; {axis} position inside 3 sigma {100 * min(inside):.0f} % of the time"
-    outside = any(is_outside(f"coverage_3sigma_{axis}", values) for axis in _AXES)
+    outside = any(is_outside(f"coverage_3sigma_{axis}", values) for axis in AXIS_TITLES)
     if mean > high or outside:
         reason = describe_nees(values) if mean > high else describe_outside(values)
         if values.get("pos_rmse_h_m", 0.0) > values.get("pos_sigma_h_m", np.inf):
@@ -253,7 +243,7 @@ def format_nees(value: float) -> str:
 def describe_outside(values: Mapping[str, Any]) -> str:
     """Return the errors that are too often outside 3 sigma, with the fraction of the time, largest first."""
     found = {}
-    for axis, words in _AXES.items():
+    for axis, words in AXIS_TITLES.items():
         name = f"coverage_3sigma_{axis}"
         inside = values.get(name)
         if inside is not None and (inside < _LEAST_INSIDE or is_outside(name, values)):

@@ -24,6 +24,9 @@ CONFIDENCE = 0.95
 SAME = 0.05
 """Ratios nearer to 1 than this make no difference to whoever buys or tunes [1]."""
 
+ENOUGH = 59
+"""Fewest runs of which one is of the largest 5 % with a probability of 95 %: 1 - 0.95^59."""
+
 LAGS = 20
 """Number of lags of the test of whiteness."""
 
@@ -44,6 +47,11 @@ class Estimate:
     def show(self, digits: int = 4) -> ShownFigure:
         """Return the figure and its interval for a table."""
         return ShownFigure(format_number(self.value, digits), self.interval)
+
+
+def qualify(runs: int) -> str:
+    """Return the words that intervals of pooled errors of so many runs need; "" if there are `ENOUGH`."""
+    return ", if no rare large run exists" if runs < ENOUGH else ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -364,12 +372,12 @@ class Comparison:
             word = f"the same within {100 * SAME:g} %" if same else "undecided"
             return (
                 f"{self.first} and {self.second}: {word} in {self.runs} runs, the first minus the second is "
-                f"{self.difference.interval} {self.unit}"
+                f"{self.difference.interval} {self.unit}{qualify(self.runs)}"
             )
         better, other = (self.second, self.first) if low > 0.0 else (self.first, self.second)
         low, high = sorted((abs(low), abs(high)))
         by = Estimate(abs(self.difference.value), low, high)
-        return f"{better} is better than {other} by {by.interval} {self.unit}"
+        return f"{better} is better than {other} by {by.interval} {self.unit}{qualify(self.runs)}"
 
 
 def compare_rmse(

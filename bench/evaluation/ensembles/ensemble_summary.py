@@ -45,7 +45,7 @@ class EnsembleSummary:
     nis_course: Mapping[str, Course]  # along the run, by sensor; NaN where it has no update
     growth: Mapping[str, tuple[Growth, ...]]  # of the horizontal error, by number of the outage
     whiteness: Mapping[tuple[str, int], Whiteness]  # by sensor and component
-    consistency: Consistency | None  # None with fewer than 40 runs
+    consistency: Consistency | None  # None with fewer than 8 runs
 
 
 def summarize_runs(results: Sequence[RunResult], label: str, evaluation: EvaluationWindow) -> EnsembleSummary:
@@ -120,7 +120,7 @@ def summarize_runs(results: Sequence[RunResult], label: str, evaluation: Evaluat
             for key, rows in white.items()
             if sum(map(len, rows)) > 2 * ensemble.LAGS * len(rows)
         },
-        consistency=check_consistency(nees, errors[0].states, nis)
+        consistency=check_consistency(nees, errors[0].states, nis, rows=[one.metrics[label] for one in good])
         if claimed and len(good) >= LEAST_RUNS
         else None,
     )

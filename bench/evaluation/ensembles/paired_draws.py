@@ -15,7 +15,7 @@ import numpy as np
 
 from bench.core.mathematics.arrays import FloatArray
 from bench.core.words.wording import format_number
-from bench.evaluation.ensembles.ensemble import CONFIDENCE, SAME, Estimate
+from bench.evaluation.ensembles.ensemble import CONFIDENCE, SAME, Estimate, qualify
 from bench.evaluation.ensembles.regression import Change, estimate_change, half_log_of_mean
 
 Word = Literal["better", "worse", "same", "undecided"]
@@ -38,7 +38,8 @@ class PairedRatio:
     @property
     def sentence(self) -> str:
         """Return which filter is better and by how much, or how many more runs would decide."""
-        text = f"{self.first} over {self.second} {format_number(self.ratio.value, 3)} ({self.ratio.interval})"
+        text = f"{self.first} over {self.second} {format_number(self.ratio.value, 3)} ({self.ratio.interval}"
+        text += f"{qualify(self.draws)})"
         if self.word != "undecided":
             return f"{text}: {self.word}"
         if self.deciding is None:

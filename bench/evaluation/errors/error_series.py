@@ -28,6 +28,19 @@ VALUES = {"pos": "lla", "vel": "vel_n", "phi": "q_nb"}
 TITLES = {"pos": "position", "vel": "velocity", "phi": "attitude"}
 """Block of states -> its name in words."""
 
+AXIS_TITLES = {
+    "pos_d": "height",
+    "pos_n": "north",
+    "pos_e": "east",
+    "vel_n": "north velocity",
+    "vel_e": "east velocity",
+    "vel_d": "vertical velocity",
+    "phi_d": "heading",
+    "phi_n": "tilt about north",
+    "phi_e": "tilt about east",
+}
+"""Axis of a block -> its name in words, the most telling of each block first."""
+
 NOT_COVERED = "not_covered"
 """Kind of the events of an interval without a solution."""
 

@@ -6,19 +6,23 @@ five independent values. A band for one run therefore counts independent values,
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Literal
 
 import numpy as np
 
+from bench.core.files import disk_arrays
+from bench.core.mathematics.arrays import FloatArray
 from bench.core.mathematics.units import DEG, HOUR, STANDARD_GRAVITY
 from bench.evaluation.consistency.chi_square import chi2_quantile, count_independent, mean_band, mean_nis
-from bench.evaluation.errors.error_series import BLOCKS
+from bench.evaluation.consistency.log_score import score_block
+from bench.evaluation.errors.error_series import BLOCKS, claimed_blocks, normalized_squares
 from bench.evaluation.errors.failures import FAILED
 from bench.evaluation.metrics.case import Case
 
 AXES = ("n", "e", "d")
 Edge = Literal["low", "high"]
+EDGES: tuple[Edge, ...] = ("low", "high")
 NEES_PROBABILITY = 0.999
 """Probability of the band of NEES in one run [1]."""
 COVERAGE_PROBABILITY = 0.995
@@ -44,10 +48,43 @@ def nees_inside_95(case: Case) -> float:
     return float(np.mean((low <= case.nees) & (case.nees <= high)))
 
 
-def coverage(block: str, case: Case) -> Mapping[str, float | None]:
+def nees_ratio(case: Case) -> Mapping[str, float | None]:
+    """NEES over its expected value by block (pos, vel, phi) and by axis (pos_n ... phi_d); 1 is expected."""
+    found = {block: values / 3.0 for block, values in _average_blocks(normalized_squares, case).items()}
+    for block in [*found]:
+        squares = np.square(getattr(case, f"{block}_n") / case.sd[:, BLOCKS[block]])
+        found |= {f"{block}_{axis}": float(np.mean(squares[:, k])) for k, axis in enumerate(AXES)}
+    return found
+
+
+def log_score(case: Case) -> Mapping[str, float | None]:
+    """Logarithmic score of the covariance of a block (pos, vel, phi), in SI units; the lower the better."""
+    return _average_blocks(score_block, case)
+
+
+def _average_blocks(measure: Callable[[FloatArray, FloatArray], FloatArray], case: Case) -> dict[str, float]:
+    """Return the mean of a measure of errors (M, 3) and covariances (M, 3, 3), by claimed block."""
+    found = {}
+    for block in claimed_blocks(case.solution):
+        error, own = getattr(case, f"{block}_n"), BLOCKS[block]
+        parts = [
+            measure(error[rows], case.solution.cov[rows, own, own]).sum()
+            for rows in disk_arrays.blocks(len(error))
+        ]
+        found[block] = float(sum(parts) / len(error))
+    return found
+
+
+def coverage(sigmas: float, block: str, case: Case) -> Mapping[str, float | None]:
     """Fraction of epochs with the error of a block within 3 sigma: n, e, d; 0.9973 is expected."""
-    inside = np.abs(getattr(case, f"{block}_n")) <= 3.0 * case.sd[:, BLOCKS[block]]
+    inside = np.abs(getattr(case, f"{block}_n")) <= sigmas * case.sd[:, BLOCKS[block]]
     return {axis: float(np.mean(inside[:, k])) for k, axis in enumerate(AXES)}
+
+
+def coverage_within(sigmas: float, case: Case) -> Mapping[str, float | None]:
+    """Fraction of epochs with the error of an axis within 1 or 2 sigma; 0.6827 and 0.9545 are expected."""
+    blocks = claimed_blocks(case.solution)
+    return {f"{b}_{axis}": value for b in blocks for axis, value in coverage(sigmas, b, case).items()}
 
 
 def nis(part: Literal["mean", "low", "high"], case: Case) -> Mapping[str, float | None]:

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 from bench.core.records.instruments import INSTRUMENTS
 from bench.core.words.wording import format_number
+from bench.evaluation.errors.error_series import AXIS_TITLES
 from bench.evaluation.metrics.run_metrics import METRICS, Metric, find_metric
 
 POSITION, MOTION, HONESTY = "Position", "Velocity and attitude", "Consistency of the covariance"
@@ -71,6 +72,10 @@ _WORDS: Mapping[str, tuple[str, str]] = {
     "coverage_low_pos_{}": (HONESTY, "{} within 3 sigma, least that fits"),
     "coverage_low_vel_{}": (HONESTY, "{} velocity within 3 sigma, least that fits"),
     "coverage_low_phi_{}": (HONESTY, "{} within 3 sigma, least that fits"),
+    "nees_ratio_{}": (HONESTY, "NEES over its ideal value, {}"),
+    "log_score_{}": (HONESTY, "logarithmic score, {}"),
+    "coverage_1sigma_{}": (HONESTY, "{} within 1 sigma"),
+    "coverage_2sigma_{}": (HONESTY, "{} within 2 sigma"),
     "error_over_sigma_{}": (HONESTY, "{} error over its sigma, rms"),
     "nees_bias_{}": (HONESTY, "NEES of {}"),
     "nees_low_bias_{}": (HONESTY, "NEES of {}, least that fits"),
@@ -92,6 +97,7 @@ GROUPS = (POSITION, MOTION, OUTAGES, FAULTS, HONESTY, FILTER, OTHER)
 """Headings in the order of the tables."""
 
 _KEYS = {
+    **AXIS_TITLES,
     **{"n": "north", "e": "east", "d": "height", "h": "horizontal", "3d": "3D"},
     **{"pos": "position", "vel": "velocity", "phi": "attitude", "rms": "rms", "95": "95 %"},
     **{"end": "error at the end", "segments": "drift of segments"},

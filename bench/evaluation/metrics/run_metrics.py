@@ -48,8 +48,6 @@ from bench.evaluation.metrics.coverage import (
 Value = float | None
 Values = Mapping[str, Value]
 
-AXES = ("n", "e", "d")
-
 HEADING_LIMIT = np.deg2rad(1.0)
 """A heading has converged below the larger of this and 3 sigma [rad]."""
 
@@ -91,14 +89,14 @@ def _rms(values: FloatArray) -> float:
 def rmse(block: str, case: Case) -> Values:
     """Root mean square of the error of a block [m or m/s]: n, e, d, h (horizontal) and 3d."""
     error_n = getattr(case, f"{block}_n")
-    by_axis: dict[str, Value] = {axis: _rms(error_n[:, k]) for k, axis in enumerate(AXES)}
+    by_axis: dict[str, Value] = {axis: _rms(error_n[:, k]) for k, axis in enumerate(claims.AXES)}
     horizontal = case.pos_h if block == "pos" else _horizontal_norm(error_n)
     return by_axis | {"h": _rms(horizontal), "3d": _rms(lengths(error_n))}
 
 
 def phi_rmse(case: Case) -> Values:
     """Root mean square of the attitude error [deg] about n, e and d."""
-    return {axis: float(np.rad2deg(_rms(case.phi_n[:, k]))) for k, axis in enumerate(AXES)}
+    return {axis: float(np.rad2deg(_rms(case.phi_n[:, k]))) for k, axis in enumerate(claims.AXES)}
 
 
 def tilt_rmse(case: Case) -> float:
@@ -223,23 +221,25 @@ METRICS: tuple[Metric, ...] = (
     Metric("nees_mean", claims.nees_mean, "cov", "matched"),
     Metric("nees_states", claims.nees_states, "cov", "not evaluated"),
     Metric("nees_inside_95", claims.nees_inside_95, "cov", "matched"),
-    Metric("coverage_3sigma_pos_{}", partial(claims.coverage, "pos"), "pos cov", "matched"),
-    Metric("coverage_3sigma_vel_{}", partial(claims.coverage, "vel"), "vel cov", "matched"),
-    Metric("coverage_3sigma_phi_{}", partial(claims.coverage, "phi"), "phi cov", "matched"),
+    Metric("coverage_3sigma_pos_{}", partial(claims.coverage, 3.0, "pos"), "pos cov", "matched"),
+    Metric("coverage_3sigma_vel_{}", partial(claims.coverage, 3.0, "vel"), "vel cov", "matched"),
+    Metric("coverage_3sigma_phi_{}", partial(claims.coverage, 3.0, "phi"), "phi cov", "matched"),
     Metric("output_coverage", claims.output_coverage, "", "matched"),
     Metric("availability_{}", claims.answered, "", "not evaluated"),
     Metric("first_answer_s", claims.first_answer, "", "not evaluated"),
     Metric("nis_mean_{}", partial(claims.nis, "mean"), "", "matched"),
-    Metric("nis_low_{}", partial(claims.nis, "low"), "", "not evaluated"),
-    Metric("nis_high_{}", partial(claims.nis, "high"), "", "not evaluated"),
+    *(Metric(f"nis_{e}_{{}}", partial(claims.nis, e), "", "not evaluated") for e in claims.EDGES),
     Metric("updates_{}", claims.updates, "", "not evaluated"),
     Metric("rejected_{}", claims.rejected, "", "not evaluated"),
     Metric("events_{}", events, "", "not evaluated"),
     Metric("longest_rejection_{}_s", refused, "", "zero"),
     Metric("pos_sigma_h_m", claims.claimed_error_h, "pos cov", "not evaluated"),
     Metric("error_over_sigma_{}", claims.error_over_sigma, "cov", "not evaluated"),
-    Metric("nees_low", partial(claims.nees_band, "low"), "cov", "not evaluated"),
-    Metric("nees_high", partial(claims.nees_band, "high"), "cov", "not evaluated"),
+    *(Metric(f"nees_{e}", partial(claims.nees_band, e), "cov", "not evaluated") for e in claims.EDGES),
+    Metric("nees_ratio_{}", claims.nees_ratio, "cov", "not evaluated"),
+    Metric("log_score_{}", claims.log_score, "cov", "not evaluated"),
+    Metric("coverage_1sigma_{}", partial(claims.coverage_within, 1.0), "cov", "not evaluated"),
+    Metric("coverage_2sigma_{}", partial(claims.coverage_within, 2.0), "cov", "not evaluated"),
     Metric("nees_samples", claims.nees_samples, "cov", "not evaluated"),
     Metric("coverage_low_pos_{}", partial(claims.coverage_low, "pos"), "pos cov", "not evaluated"),
     Metric("coverage_low_vel_{}", partial(claims.coverage_low, "vel"), "vel cov", "not evaluated"),
@@ -248,8 +248,10 @@ METRICS: tuple[Metric, ...] = (
     Metric("accel_bias_rmse_{}_mg", partial(claims.bias_rmse, "accel_bias"), "", "lower"),
     Metric("coverage_3sigma_bias_{}", claims.bias_coverage, "", "matched"),
     Metric("nees_bias_{}", claims.nees_bias, "", "matched"),
-    Metric("nees_low_bias_{}", partial(claims.nees_bias_band, "low"), "", "not evaluated"),
-    Metric("nees_high_bias_{}", partial(claims.nees_bias_band, "high"), "", "not evaluated"),
+    *(
+        Metric(f"nees_{e}_bias_{{}}", partial(claims.nees_bias_band, e), "", "not evaluated")
+        for e in claims.EDGES
+    ),
     Metric("outage_{}_predicted_h_m", partial(drift_laws.outage_law, "rms"), "phi", "not evaluated"),
     Metric("outage_{}_predicted_95_h_m", partial(drift_laws.outage_law, "95"), "phi", "not evaluated"),
     Metric("inertial_end_h_m", drift_laws.inertial_end, "phi", "lower"),

@@ -352,8 +352,8 @@ def _describe(estimator: str, row: Verdict | None, first: str, other: str) -> st
     values = f"{estimator}: horizontal error {old}, {new}"
     if row.note == ONE_DRAW:
         return f"{values}; one run each, which do not separate chance from a difference"
-    word = f"{other} is {row.word}" if row.word in ("better", "worse") else row.word
-    change = f"{row.format_change()} by {row.draws} {'pairs' if row.paired else 'draws each'}"
+    word = f"{other} is {row.word}" if row.word in ("better", "worse") else row.told
+    change = f"{row.format_change()} by {row.draws} {'pairs' if row.paired else 'draws each'}{row.rare}"
     return ", ".join(filter(None, [f"{values}: {word}", change if row.change is not None else "", row.note]))
 
 

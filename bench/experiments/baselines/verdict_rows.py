@@ -11,6 +11,7 @@ import numpy as np
 
 from bench.core.mathematics.arrays import BoolArray, FloatArray
 from bench.evaluation.ensembles import regression
+from bench.evaluation.ensembles.ensemble import qualify
 from bench.evaluation.ensembles.regression import Change
 from bench.evaluation.metrics.run_metrics import find_metric
 from bench.experiments.baselines.baseline_file import CPU, UNKNOWN, Baseline, EstimatorValues, Value
@@ -68,13 +69,23 @@ class Verdict:
     note: str  # what the figures do not say
 
     @property
+    def told(self) -> str:
+        """The word; "same" only of equal runs, because no test of equivalence is made."""
+        return "within tolerance" if self.word == "same" and self.low is not None else self.word
+
+    @property
+    def rare(self) -> str:
+        """The words that the interval of an RMSE needs; "" if it needs none."""
+        return qualify(self.draws) if _is_rms(self.metric) and self.low is not None else ""
+
+    @property
     def sentence(self) -> str:
         """The row in words."""
         values = " -> ".join("-" if x is None else f"{x:.4g}" for x in (self.old, self.new))
         unit = f" {self.unit}" if self.unit not in ("", "1") else ""
-        parts = [f"{self.word}: {self.estimator} on {self.profile}, {self.metric} {values}{unit}"]
+        parts = [f"{self.told}: {self.estimator} on {self.profile}, {self.metric} {values}{unit}"]
         if self.change is not None:
-            parts.append(f"{self.format_change()} in {self.draws} runs")
+            parts.append(f"{self.format_change()} in {self.draws} runs{self.rare}")
         return ", ".join([*parts, *([self.note] if self.note else [])])
 
     def format_change(self) -> str:

@@ -18,6 +18,8 @@ from bench.evaluation.consistency.chi_square import NIS_PROBABILITY, MeanNis, me
 from bench.evaluation.ensembles import ensemble, regression
 from bench.evaluation.ensembles.ensemble import Comparison, Estimate
 from bench.evaluation.ensembles.ensemble_consistency import LEAST_RUNS, Consistency, check_consistency
+from bench.evaluation.ensembles.rare_runs import measure_scatter
+from bench.evaluation.metrics.metric_words import find_words
 from bench.evaluation.requirements.required_metrics import Finding, judge_runs, list_requirements
 from bench.experiments.campaigns.groups import Group
 
@@ -38,8 +40,9 @@ class Outcome:
     runs: int
     converged: Estimate  # rate [1]
     errors: Mapping[str, Estimate]  # by metric of `POOLED`, and "cep50_m", "cep95_m"
-    consistency: Consistency | None  # None with fewer than 40 runs, or if no accuracy is reported
+    consistency: Consistency | None  # None with fewer than 8 runs, or if no accuracy is reported
     lost: str = ""  # why the first run that did not converge did not
+    scatter: tuple[str, ...] = ()  # what holds even if rare large runs exist, a text for each error
 
     @property
     def converged_runs(self) -> int:
@@ -64,6 +67,7 @@ class Outcome:
             else f"{self.label}: {bad} of {self.runs} runs diverged or failed, {least} to {most} % of all; "
             f"the first: {self.lost}"
         ]
+        found += [f"{self.label}, {text}" for text in self.scatter[:1]]
         if self.consistency is not None:
             found.append(f"{self.label} is {self.consistency.sentence}")
             found += [f"{self.label}: {reason}" for reason in self.consistency.reasons]
@@ -85,21 +89,22 @@ def summarize(group: Group) -> Outcome:
     """Return the statistics of a group of runs."""
     good = [one for one, converged in zip(group.metrics, group.converged, strict=True) if converged]
     errors: dict[str, Estimate] = {}
+    scatter: list[str] = []
     consistency = None
     late = group.evaluation.first
     if len(good) >= _LEAST:
-        by_name = {name: [one.get(name) for one in good] for name in POOLED}
-        errors = {
-            name: ensemble.pool_rmse(np.square(np.array(values, float)))
-            for name, values in by_name.items()
-            if None not in values
-        }
+        columns = {name: [one.get(name) for one in good] for name in POOLED}
+        known = {name: np.array(values, float) for name, values in columns.items() if None not in values}
+        errors = {name: ensemble.pool_rmse(np.square(values)) for name, values in known.items()}
+        for name, values in known.items():
+            words = find_words(name)
+            scatter.append(f"{words.words}: {measure_scatter(values).describe(words.unit)}")
         size = np.hypot(*(group.channel(f"pos_err_{axis}_m", late) for axis in "ne"))
         if size.size:
             errors |= {f"cep{100 * p:.0f}_m": ensemble.pool_quantile(size, p) for p in (0.5, 0.95)}
     nees = group.channel("nees", late)
     if len(good) >= LEAST_RUNS and group.states and nees.size:
-        consistency = check_consistency(nees, group.states, pool_nis(group))
+        consistency = check_consistency(nees, group.states, pool_nis(group), rows=good)
     return Outcome(
         condition=group.condition.name,
         label=group.label,
@@ -107,6 +112,7 @@ def summarize(group: Group) -> Outcome:
         converged=ensemble.estimate_rate(len(good), len(group.metrics)),
         errors=errors,
         consistency=consistency,
+        scatter=tuple(scatter),
         lost=next(
             (one_line(str(one.get("reason")))[:200] for one in group.metrics if not one["converged"]), ""
         ),
@@ -266,6 +272,11 @@ class Campaign:
         return (*own, *(f"by horizontal RMSE, {one.sentence}" for one in self.comparisons), *required)
 
     @property
+    def fewest(self) -> int:
+        """Return the fewest runs behind an interval."""
+        return min((one.converged_runs for one in self.outcomes), default=0)
+
+    @property
     def requirements(self) -> tuple[Finding, ...]:
         """Return the verdicts on the requirements, for each condition and filter."""
         if not any("requirement" in condition["as_flown"] for condition in self.conditions):
@@ -289,7 +300,7 @@ class Campaign:
         """Return the sentences, and a table of the values with their intervals."""
         names = dict.fromkeys(name for one in self.outcomes for name in one.errors)
         table = tabulate(self.outcomes, {name: name for name in names})
-        caption = f"{self.finished} of {self.planned} runs"
+        caption = f"{self.finished} of {self.planned} runs{ensemble.qualify(self.fewest)}"
         return write_sentences(self.sentences) + write_table(caption, table.columns)
 
     def plot(self, quantity: str = "pos_err_n_m", **look: Any) -> Any:

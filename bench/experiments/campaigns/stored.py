@@ -50,6 +50,8 @@ class _StoredConsistency(_StoredPart):
     low: _Number
     high: _Number
     word: str
+    text: str = ""
+    parts: dict[str, _StoredEstimate] = {}
     runs_to_decide: NonNegativeInt | None
     instants: list[int]
     anees: list[_Number]
@@ -68,6 +70,7 @@ class StoredOutcome(_StoredPart):
     errors: dict[str, _StoredEstimate]
     consistency: _StoredConsistency | None
     lost: str
+    scatter: Sequence[str] = ()
 
 
 class _StoredComparison(_StoredPart):
@@ -207,9 +210,19 @@ def make_outcome(row: StoredOutcome) -> Outcome:
     if row.consistency is not None:
         values = dict(row.consistency)
         nis = {name: MeanNis(**dict(one)) for name, one in row.consistency.nis.items()}
-        found = Consistency(**{**values, "nis": nis, "reasons": tuple(values["reasons"])})
+        parts = {name: _make_estimate(one) for name, one in row.consistency.parts.items()}
+        found = Consistency(
+            **{
+                **values,
+                "nis": nis,
+                "text": values["text"] or values["word"],
+                "parts": parts,
+                "reasons": tuple(values["reasons"]),
+            }
+        )
     errors = {name: _make_estimate(one) for name, one in row.errors.items()}
-    return Outcome(row.condition, row.label, row.runs, _make_estimate(row.converged), errors, found, row.lost)
+    rate, scatter = _make_estimate(row.converged), tuple(row.scatter)
+    return Outcome(row.condition, row.label, row.runs, rate, errors, found, row.lost, scatter)
 
 
 def choose_runs(campaign: Campaign, which: Sequence[str]) -> dict[str, str]:

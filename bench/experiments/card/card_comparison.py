@@ -10,6 +10,7 @@ import numpy as np
 from bench.core.mathematics.arrays import FloatArray
 from bench.core.words.exceptions import ConfigError
 from bench.evaluation.ensembles import ensemble
+from bench.evaluation.ensembles.ensemble import qualify
 from bench.evaluation.ensembles.regression import Change, average_changes, decide
 from bench.experiments.card.card_lines import CONVENTIONS, COUNT, SAME, SHARE, Line, write_figure
 from bench.experiments.card.card_making import Card
@@ -220,7 +221,8 @@ def tell_change(
     ratio, least, most = (write_figure(float(np.exp(end))) for end in (change.estimate, low, high))
     name = names[0] if change.estimate < 0.0 else names[1]
     if one.topic != "honesty":
-        text = f"{one.figure} of {names[0]} {ratio} times that of {names[1]} ({least} to {most})"
+        text = f"{one.figure} of {names[0]} {ratio} times that of {names[1]} ({least} to {most}"
+        text += f"{qualify(change.draws)})"
     elif flight == "all flights":
         text = (
             f"NEES of {names[0]} in a run off by {ratio} times the factor of {names[1]} ({least} to {most})"

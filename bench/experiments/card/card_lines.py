@@ -6,13 +6,20 @@ from collections.abc import Mapping, Sequence
 from typing import Annotated, Any
 
 import numpy as np
+from pydantic import Field
 from scipy.special import gammaincinv
 
-from bench.core.mathematics.arrays import FloatArray
 from bench.core.words.wording import one_line
 from bench.evaluation.ensembles import ensemble
-from bench.evaluation.ensembles.ensemble import Estimate
-from bench.evaluation.ensembles.ensemble_consistency import TOLERATED
+from bench.evaluation.ensembles.ensemble import Estimate, qualify
+from bench.evaluation.ensembles.ensemble_consistency import (
+    WHOLE,
+    estimate_share,
+    judge_ratios,
+    read_inside,
+    read_ratios,
+)
+from bench.evaluation.ensembles.rare_runs import measure_scatter
 from bench.evaluation.ensembles.regression import average_changes
 from bench.evaluation.errors.error_series import TITLES
 from bench.evaluation.linear.quantities import count_freedom
@@ -53,8 +60,7 @@ CONVENTIONS = "conventions"
 UNPROVEN = "not proven"
 """Word of a filter whose causality cannot be proven: it fails, or does not repeat its answers."""
 
-_UNEVEN = "uneven"  # word of a covariance that is right in the mean of all epochs only
-_INSIDE = 0.8  # of the time with NEES in the central 95 % of its distribution: less is uneven
+_PARTS = ("nees_ratio_", "coverage_1sigma_", "coverage_2sigma_", "coverage_3sigma_", "log_score_")
 
 Rows = Sequence[Mapping[str, Any]]
 """Metrics of a filter by draw."""
@@ -74,6 +80,7 @@ class Line(Table):
     by_draw: Annotated[tuple[float | None, ...], ROWS] = ()  # what the filter achieved itself
     id: str = ""  # of a requirement, as its owner numbers it
     text: str = ""  # of a requirement, as its owner words it
+    parts: dict[str, float] = Field(default_factory=dict)  # of consistency: metrics, means over the runs
     over_bound: Annotated[tuple[float, float, float] | None, ROWS] = None  # of an error, with interval
 
 
@@ -175,16 +182,25 @@ def compare_errors(
         text = f"{figure} {' and '.join(parts)}"
         both = sum(value is not None for value in values)
         text += "" if both == len(own) else f", in the {both} of {len(own)} runs that converged"
+        text += qualify(both)
         if topic == "accuracy" and bound[1]:
             text += f"; {bound[1]}"
         if word:
             text += ": no causal filter can; it has the future, or the truth"
+        text += f"; {_scatter(values, pool_names(other, names) if ratio else ())}"
         shown = ratio or held
         assert shown is not None
         line = _make_line(topic, flight, figure, shown, text, values, word)
         over = None if held is None else (held.value, held.low, held.high)
         lines.append(line.model_copy(update={"over_bound": over}))
     return lines
+
+
+def _scatter(own: Sequence[float | None], other: Sequence[float | None]) -> str:
+    """Return the scatter of errors in words, with the median of their ratios to those of another filter."""
+    errors = np.array([value for value in own if value is not None])
+    pairs = [a / b for a, b in zip(own, other, strict=False) if a is not None and b]
+    return measure_scatter(errors, np.array(pairs) if pairs else None).describe()
 
 
 def compare_bound(values: Sequence[float | None], bound: float | None) -> tuple[Estimate | None, str]:
@@ -221,31 +237,28 @@ def _normalize(row: Mapping[str, Any]) -> float | None:
 
 
 def judge_honesty(flight: SuiteFlight, own: Rows) -> list[Line]:
-    """Return the ratio of NEES to its expectation; none without a covariance."""
+    """Return the ratio of NEES to its expectation with the verdict; none without a covariance."""
     by_draw = tuple(map(_normalize, own))
-    known = np.array([value for value in by_draw if value is not None], float)
-    if len(known) < _LEAST:
+    kept = [row for row, value in zip(own, by_draw, strict=True) if value is not None]
+    if len(kept) < _LEAST:
         return []
-    root = ensemble.pool_rmse(known)
-    ratio = Estimate(root.value**2, root.low**2, root.high**2)
-    least, most = TOLERATED
-    if ratio.low > most:
-        word = "overconfident"
-    elif ratio.high < least:
-        word = "underconfident"
-    else:
-        word = "consistent" if least <= ratio.low and ratio.high <= most else "undecided"
-    text = f"NEES is {_format(ratio)} times its expectation: {word}"
-    share = estimate_share(
-        np.array([row["nees_inside_95"] for row in own if _normalize(row) is not None], float)
+    whole = np.array([value for value in by_draw if value is not None], float)
+    judged = judge_ratios({**read_ratios(kept), WHOLE: whole}, read_inside(kept))
+    blocks = [
+        f"{title} {write_figure(judged.ratios[b].value)}" for b, title in TITLES.items() if b in judged.ratios
+    ]
+    text = f"NEES is {_format(judged.ratios[WHOLE])} times its expectation"
+    text += f" ({', '.join(blocks)}): {judged.text}" if blocks else f": {judged.text}"
+    line = _make_line(
+        "honesty", flight, "NEES over its expectation", judged.ratios[WHOLE], text, by_draw, judged.word
     )
-    if word not in ("overconfident", "underconfident") and share.high < _INSIDE:
-        word = _UNEVEN
-        text = (
-            f"NEES is {_format(ratio)} times its expectation in the mean, but within the central 95 % of its "
-            f"distribution for {_format(share, 100.0)} % of the time: {word}"
-        )
-    return [_make_line("honesty", flight, "NEES over its expectation", ratio, text, by_draw, word)]
+    names = {
+        name: [row.get(name) for row in kept]
+        for name in kept[0]
+        if name.startswith(_PARTS) and not name.endswith("_all")
+    }
+    parts = {name: float(np.mean(np.array(each, float))) for name, each in names.items() if None not in each}
+    return [line.model_copy(update={"parts": parts})]
 
 
 def judge_alarms(flight: SuiteFlight, own: Rows) -> list[Line]:
@@ -270,13 +283,6 @@ def judge_alarms(flight: SuiteFlight, own: Rows) -> list[Line]:
     return lines
 
 
-def estimate_share(by_draw: FloatArray) -> Estimate:
-    """Return the mean of the fractions by run, with an interval by Student's t."""
-    mean = average_changes(by_draw)
-    low, high = mean.interval(1.0 - ensemble.CONFIDENCE)
-    return Estimate(mean.estimate, max(low, 0.0), min(high, 1.0))
-
-
 def judge_robustness(flight: SuiteFlight, own: Rows, without: Rows) -> list[Line]:
     """Return the ratio of the error to the error in the same runs of the same flight without the event."""
     _, start, end = ERRORS["accuracy"]
@@ -284,7 +290,9 @@ def judge_robustness(flight: SuiteFlight, own: Rows, without: Rows) -> list[Line
     ratio = compare_rms(*values)
     if ratio is None:
         return []
-    text = f"horizontal error {_format(ratio)} times its own on the same flight without them"
+    text = (
+        f"horizontal error {_format(ratio)} times its own on the same flight without them{qualify(len(own))}"
+    )
     return [_make_line("robustness", flight, "horizontal error", ratio, text, values[0])]
 
 

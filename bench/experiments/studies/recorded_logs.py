@@ -23,7 +23,7 @@ from bench.core.records.findings import Findings, FindingTable, make_table, seri
 from bench.core.records.findings.series import Plot, Series
 from bench.core.words.exceptions import ConfigError, EstimatorError
 from bench.core.words.wording import one_line
-from bench.evaluation.ensembles.ensemble import CONFIDENCE, Estimate
+from bench.evaluation.ensembles.ensemble import CONFIDENCE, Estimate, qualify
 from bench.evaluation.ensembles.regression import average_changes, decide
 from bench.experiments.studies.study import (
     Settings,
@@ -214,7 +214,9 @@ def tell_logs(
         yield f"{label}, {count} {'log' if count == 1 else 'logs'}: {listed}."
     for name, label, ratio, logs, word in told:
         if word in ("better", "worse"):
-            text = f"{format_estimate(ratio)} times that of {labels[0]} on {logs} logs: {word}."
+            text = (
+                f"{format_estimate(ratio)} times that of {labels[0]} on {logs} logs{qualify(logs)}: {word}."
+            )
             yield f"{label}: {_say(name)} {text}"
     open_ones = sum(word not in ("better", "worse") for *_, word in told)
     if open_ones:

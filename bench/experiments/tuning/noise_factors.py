@@ -17,6 +17,7 @@ from bench.core.records.specs import DEFAULT_GUARD, Guard
 from bench.core.words.exceptions import ConfigError
 from bench.core.words.stages import Progress, Stage
 from bench.core.words.wording import format_number, suggest
+from bench.evaluation.ensembles.ensemble import qualify
 from bench.experiments.campaigns.pools import ProcessPool, count_processors
 from bench.experiments.tuning.factor_search import REACH, FoundFactor, search_factors
 from bench.experiments.tuning.trials import Goal, HeldOutScore, LogTrial, ProfileTrial, Trial
@@ -64,7 +65,7 @@ class Tuning:
             old, new = (getattr(one, name) for one in (self.before, self.after))
             found.append(
                 f"{title}, on data not used for tuning: {format_number(old.value, 3)} ({old.interval}) "
-                f"before, {format_number(new.value, 3)} ({new.interval}) after"
+                f"before, {format_number(new.value, 3)} ({new.interval}) after{qualify(self.after.runs)}"
             )
         if self.before.lost or self.after.lost:
             found.append(

@@ -48,6 +48,7 @@ class HeldOutScore:
     nees_ratio: Estimate  # mean NEES over its expectation; 1 is right
     repetition: Mapping[str, tuple[float, float]]  # of innovations, as `measure_repetition` returns it
     lost: int = 0  # runs that did not converge, which are in no figure
+    runs: int = 0  # behind the intervals
 
 
 class Trial(Protocol):
@@ -240,4 +241,5 @@ def _judge(
         raise ConfigError("too few runs converged to evaluate the tuned filter")
     root = ensemble.pool_rmse(nees)
     ratio = Estimate(root.value**2, root.low**2, root.high**2)
-    return HeldOutScore(ensemble.pool_rmse(mean_squares), ratio, ensemble.measure_repetition(repetition))
+    rmse, repeated = ensemble.pool_rmse(mean_squares), ensemble.measure_repetition(repetition)
+    return HeldOutScore(rmse, ratio, repeated, runs=len(nees))

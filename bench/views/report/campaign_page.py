@@ -18,7 +18,7 @@ from bench.core.records.specs import EvaluationWindow
 from bench.core.words.notebook import ShownFigure, ShownText
 from bench.core.words.palette import Color
 from bench.core.words.wording import format_number
-from bench.evaluation.ensembles.ensemble import CONFIDENCE
+from bench.evaluation.ensembles.ensemble import CONFIDENCE, qualify
 from bench.evaluation.metrics.metric_words import find_words, name_metric
 from bench.evaluation.metrics.run_metrics import find_metric
 from bench.evaluation.requirements.required_metrics import trace
@@ -34,7 +34,7 @@ _MOST_LOST = 50  # runs that are listed
 _FAR = 20.0  # a filter that errs so many times more than the middle one does not scale a plot, has no band
 _POOLED = (
     f"Pooled over the runs that converged, with {100 * CONFIDENCE:.0f} % intervals; NEES / n of a consistent "
-    "filter is 1 (99.5 %)"
+    "filter is 1 (98 %)"
 )
 _EXTREMES = "Horizontal position error, root mean square of the run, and the command that repeats it"
 
@@ -125,21 +125,23 @@ def _list_facts(campaign: Campaign) -> Iterator[str]:
             yield f"{name} {', '.join(known[:_MOST_NAMED])}" + (" ..." if len(known) > _MOST_NAMED else "")
     if campaign.folder is not None:
         yield f"written {page.read_day(campaign.folder / results.CAMPAIGN_RESULT)}"
-    yield f"figures are over the runs that converged, with {100 * CONFIDENCE:.0f} % intervals"
+    rare = qualify(campaign.fewest)
+    yield f"figures are over the runs that converged, with {100 * CONFIDENCE:.0f} % intervals{rare}"
 
 
 def _make_card(outcome: Outcome) -> dict[str, Any]:
     word = outcome.consistency.word if outcome.consistency else "too few runs for a verdict"
     kind, mark = find_look(word) if outcome.consistency else ("none", "–")
-    first, *rest = (text.removeprefix(f"{outcome.label}: ") for text in outcome.sentences)
+    first = outcome.sentences[0].removeprefix(f"{outcome.label}: ")
+    reasons = outcome.consistency.reasons if outcome.consistency else ()
     return {
         "label": outcome.label,
         "word": word,
         "kind": kind,
         "mark": mark,
         "lines": list(_list_errors(outcome)),
-        "text": rest[0].removeprefix(f"{outcome.label} is {word}: ") if rest else "",
-        "drifts": [first, *rest[1:]],
+        "text": outcome.consistency.sentence.removeprefix(f"{word}: ") if outcome.consistency else "",
+        "drifts": [first, *outcome.scatter, *reasons],
     }
 
 
@@ -148,14 +150,17 @@ def _list_errors(outcome: Outcome) -> Iterator[str]:
     for metric in ("pos_rmse_h_m", "pos_rmse_d_m", "vel_rmse_3d_mps", "heading_rmse_deg"):
         if (found := outcome.errors.get(metric)) is not None:
             words = find_words(metric)
-            yield f"{words.words} {format_number(found.value, 3)} {words.unit} ({found.interval})"
+            few = qualify(outcome.converged_runs)
+            yield f"{words.words} {format_number(found.value, 3)} {words.unit} ({found.interval}{few})"
 
 
 def _tabulate(campaign: Campaign) -> FindingTable:
     """Return a row for each condition and estimator: verdict, errors and NEES over the runs."""
     outcomes = campaign.outcomes
     errors = list(dict.fromkeys(name for one in outcomes for name in one.errors))
-    table = tabulate(outcomes, {name: name for name in (*errors, RATIO)}, _POOLED)
+    table = tabulate(
+        outcomes, {name: name for name in (*errors, RATIO)}, f"{_POOLED}{qualify(campaign.fewest)}"
+    )
     words = [one.consistency.word if one.consistency else "" for one in outcomes]
     verdicts = [ShownText(word or "–", find_look(word).kind if word else "none") for word in words]
     columns = {

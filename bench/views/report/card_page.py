@@ -14,6 +14,7 @@ from bench.core.records.findings.looks import find_look
 from bench.core.words.notebook import ShownText
 from bench.core.words.wording import format_number
 from bench.evaluation.requirements.required_metrics import trace
+from bench.evaluation.ensembles.ensemble import qualify
 from bench.experiments.card.card_lines import CONVENTIONS, Line
 from bench.experiments.card.card_making import Card, describe_suite
 from bench.views.report import page
@@ -73,6 +74,7 @@ def write_card(path: Path, card: Card) -> None:
         card=card,
         suite=describe_suite(card),
         written=page.write_minute(datetime.now()),
+        rare=qualify(card.draws),
         pictures=list(_draw(card)),
         topics=[
             (title, trace(card.findings) if title == _TITLES["requirements"] else _tabulate(own))

@@ -11,6 +11,7 @@ from bench.core.mathematics.units import split_unit
 from bench.core.records.findings import FindingTable, StudyResult
 from bench.core.records.findings.series import Plot
 from bench.core.words.notebook import format_cell
+from bench.evaluation.ensembles.ensemble import qualify
 from bench.views.report import page
 from bench.views.report.page import CaptionedPlot
 
@@ -36,7 +37,9 @@ def make_page(result: StudyResult, written: str = "") -> str:
 def _list_facts(result: StudyResult) -> list[str]:
     runs = result.findings.runs
     return [
-        f"at least {runs} runs behind each interval" if runs else "nothing is drawn: the same each time",
+        f"at least {runs} runs behind each interval{qualify(runs)}"
+        if runs
+        else "nothing is drawn: the same each time",
         f"{result.wall_s:.1f} s",
     ]
 

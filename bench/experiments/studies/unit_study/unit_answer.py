@@ -10,7 +10,7 @@ import numpy as np
 
 from bench.core.records.findings import FindingTable, make_table, series
 from bench.core.records.findings.series import Plot, Series
-from bench.evaluation.ensembles.ensemble import estimate_quantile
+from bench.evaluation.ensembles.ensemble import estimate_quantile, qualify
 from bench.evaluation.metrics.run_metrics import find_metric
 from bench.evaluation.requirements.required_metrics import EVERY, describe_limit
 from bench.evaluation.requirements.share_test import MET, UNDECIDED
@@ -122,7 +122,7 @@ def _tell_steps(ranking: Ranking) -> Iterator[str]:
 def _tell_pair(step: ClassStep) -> str:
     gain = step.gain
     assert gain is not None
-    text = f"{gain.ratio.value:.3g} times, {gain.ratio.interval}"
+    text = f"{gain.ratio.value:.3g} times, {gain.ratio.interval}{qualify(gain.draws)}"
     more = f"; about {max(1, gain.deciding - gain.draws)} more runs needed" if gain.deciding else ""
     return f"{text}{more}"
 
