@@ -13,8 +13,8 @@ from bench.core.records.findings import FindingTable, make_table
 from bench.core.records.findings.looks import find_look
 from bench.core.words.notebook import ShownText
 from bench.core.words.wording import format_number
-from bench.evaluation.requirements.required_metrics import trace
 from bench.evaluation.ensembles.ensemble import qualify
+from bench.evaluation.requirements.required_metrics import trace
 from bench.experiments.card.card_lines import CONVENTIONS, Line
 from bench.experiments.card.card_making import Card, describe_suite
 from bench.views.report import page
