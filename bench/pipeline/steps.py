@@ -368,7 +368,7 @@ def explain(
     choice = next(row for row in profile.estimators if row.label == judged.label)
     begin, found = profile.evaluation.begin, dict[str, Any]()
     if choice.use not in built_in.BUILT_IN:
-        found = find_mistakes(truth, [solution], sensed.data.antenna_b, begin)
+        found = find_mistakes([truth], [solution], sensed.data.antenna_b, begin)
     if not found and _is_searched(choice, causes):
         drawn = DrawnRun(truth, profile.sensors, profile.seed, run, begin, list_on_board(profile))
         tell = partial(_tell_search, stages, judged.label)

@@ -162,7 +162,7 @@ def test_a_convention_is_searched_in_three_broken_draws_of_a_flight_on_which_not
     (line,) = card_conventions.judge_conventions(plan, suite, "x", own)
     assert line.sentence == "two: looks like north, with the same constants in 3 runs."
     assert (line.flight, line.figure, flown) == ("two", "north and time", [0, 2, 3])
-    assert searched == [(2, [0, 2, 3], [2], 5.0)]
+    assert searched == [([2, 2, 2], [0, 2, 3], [2], 5.0)]
     (faulty,) = card_conventions.judge_conventions(plan, suite, "x", [[bad] * 2, [good, bad], [good] * 2])
     assert faulty.sentence == "zero: looks like north, with the same constants in 2 runs."
     assert card_conventions.judge_conventions(plan, suite, "x", [[good, bad]] * 3) == []

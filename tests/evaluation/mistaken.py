@@ -142,7 +142,7 @@ def ask(mistake: str, run: int, name: str = "s-turns") -> dict[str, Any]:
     found = add_verdict(USE, values)
     if found["verdict"] not in BROKEN:
         return found
-    return found | find_mistakes(truth, [solution], sensed.data.antenna_b, profile.evaluation.begin)
+    return found | find_mistakes([truth], [solution], sensed.data.antenna_b, profile.evaluation.begin)
 
 
 def main() -> None:

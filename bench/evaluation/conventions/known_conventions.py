@@ -7,7 +7,7 @@ fitted. What the truth says of the motion is taken at the epochs that the answer
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import product
@@ -15,36 +15,47 @@ from itertools import product
 import numpy as np
 
 from bench.core.mathematics import earth, rotation
-from bench.core.mathematics.arrays import BoolArray, FloatArray
+from bench.core.mathematics.arrays import BoolArray, FloatArray, IntArray
 from bench.core.records.data import Trajectory
 from bench.evaluation.errors.error_series import BLOCKS, interpolate_truth
 
 POS, VEL, PHI = BLOCKS["pos"], BLOCKS["vel"], BLOCKS["phi"]
+_BUT_PHI = np.repeat([1.0, 1.0, 0.0], 3)[:, None]
 _STEP = 0.05  # of differences in time [s]
+_TURN_STEP = 0.5  # of the sum of turns [s]
 
 
 @dataclass(frozen=True, slots=True)
 class Answers:
-    """A solution at some epochs, as given or with a convention undone."""
+    """Solutions of some runs at some epochs, run by run, as given or with a convention undone."""
 
     t: FloatArray  # (M,) [s]
     lla: FloatArray  # (M, 3)
     vel_n: FloatArray  # (M, 3) [m/s]
     q_nb: FloatArray  # (M, 4)
     cov: FloatArray  # (M, 9, 9)
+    run: IntArray  # (M,) position of its truth in the sequence of truths
     late: float = 0.0  # the answers are of t - late [s]
+
+    def take(self, rows: slice) -> Answers:
+        """Return some of the epochs."""
+        columns = ("t", "lla", "vel_n", "q_nb", "cov", "run")
+        return replace(self, **{name: getattr(self, name)[rows] for name in columns})
 
 
 @dataclass(frozen=True, slots=True)
 class TrueMotion:
-    """The truth at the epochs of a solution."""
+    """The truth at the epochs of solutions."""
 
-    inside: BoolArray  # (M,) epochs that the truth covers; the others have no row below
+    inside: BoolArray  # (M,) epochs that their truth covers; the others have no row below
     lla: FloatArray  # (K, 3)
     vel_n: FloatArray  # (K, 3) [m/s]
     q_nb: FloatArray  # (K, 4)
     accel_n: FloatArray  # (K, 3) rate of vel_n [m/s^2]
     turn_n: FloatArray  # (K, 3) angular rate of b relative to n [rad/s], n
+    turned_n: FloatArray  # (K, 3) integral of turn_n since the truth begins [rad]
+    dt: FloatArray  # (K,) since the epoch before, or since the truth begins at the first one of a run [s]
+    first: BoolArray  # (K,) the first epoch of a run
 
     @property
     def body_to_level(self) -> FloatArray:
@@ -57,26 +68,42 @@ class TrueMotion:
         return rotation.rotate(rotation.conjugate(self.q_nb), self.turn_n)
 
 
-def move(truth: Trajectory, answers: Answers) -> TrueMotion:
-    """Return the truth at the epochs of a solution."""
-    t = answers.t - answers.late
-    inside = (t >= truth.t[0] + _STEP) & (t <= truth.t[-1] - _STEP)
-    lla, vel_n, q_nb = interpolate_truth(truth, t[inside])
+def move(truths: Sequence[Trajectory], answers: Answers) -> TrueMotion:
+    """Return the truth of each run at the epochs of its solution."""
+    t, inside, parts = answers.t - answers.late, np.zeros(len(answers.t), np.bool_), []
+    for number, truth in enumerate(truths):
+        own = (answers.run == number) & (t >= truth.t[0] + _STEP) & (t <= truth.t[-1] - _STEP)
+        inside |= own
+        parts.append(_move_within(truth, t[own]))
+    return TrueMotion(inside, *(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+
+def _move_within(truth: Trajectory, t: FloatArray) -> tuple[FloatArray, ...]:
+    """Return the columns of `TrueMotion` after the first, at times (K,) of one run."""
+    lla, vel_n, q_nb = interpolate_truth(truth, t)
     (_, before_n, q_before), (_, after_n, q_after) = (
-        interpolate_truth(truth, t[inside] + step) for step in (-_STEP, _STEP)
+        interpolate_truth(truth, t + step) for step in (-_STEP, _STEP)
     )
-    turned = rotation.to_rotvec(rotation.multiply(q_after, rotation.conjugate(q_before)))
-    span = 2.0 * _STEP
-    return TrueMotion(inside, lla, vel_n, q_nb, (after_n - before_n) / span, turned / span)
+    grid = np.append(np.arange(truth.t[0], truth.t[-1], _TURN_STEP), truth.t[-1])
+    q_grid = interpolate_truth(truth, grid)[2]
+    sums_n = np.cumsum(_turn(q_grid[:-1], q_grid[1:]), axis=0)
+    turned_n = np.column_stack([np.interp(t, grid, np.append(0.0, column)) for column in sums_n.T])
+    rates = (after_n - before_n) / (2.0 * _STEP), _turn(q_before, q_after) / (2.0 * _STEP)
+    dt = np.diff(t, prepend=truth.t[0])
+    return lla, vel_n, q_nb, *rates, turned_n, dt, np.arange(len(t)) == 0
+
+
+def _turn(q_from: FloatArray, q_to: FloatArray) -> FloatArray:
+    """Return the rotation vectors (K, 3) between attitudes (K, 4) [rad], n."""
+    return rotation.to_rotvec(rotation.multiply(q_to, rotation.conjugate(q_from)))
 
 
 def compare(answers: Answers, motion: TrueMotion) -> FloatArray:
     """Return the errors (K, 9) of position [m], velocity [m/s] and attitude [rad], n."""
     rows = motion.inside
     with np.errstate(all="ignore"):
-        turned = rotation.multiply(answers.q_nb[rows], rotation.conjugate(motion.q_nb))
         pos_n = earth.difference_n(answers.lla[rows], motion.lla)
-        return np.hstack([pos_n, answers.vel_n[rows] - motion.vel_n, rotation.to_rotvec(turned)])
+        return np.hstack([pos_n, answers.vel_n[rows] - motion.vel_n, _turn(motion.q_nb, answers.q_nb[rows])])
 
 
 Undo = Callable[[Answers, TrueMotion, FloatArray], Answers]
@@ -111,22 +138,52 @@ def list_conventions(antenna_b: FloatArray) -> list[Convention]:
 
 def _list_fitted(antenna_b: FloatArray) -> Iterator[Convention]:
     yield Convention(
-        "time offset", tell_time, ("pos", "vel", "phi"), _undo_time, _by_time, 1, 0.005, 60.0,
-        starts=tuple(np.arange(-20.0, 20.25, 0.5).tolist()),
+        "time offset", partial(tell_time, "answers"), ("pos", "vel", "phi"), _undo_time, _by_time, 1, 0.002,
+        60.0, starts=tuple(np.arange(-20.0, 20.25, 0.5).tolist()),
     )  # fmt: skip
-    arm = partial(tell_arm, antenna_b)
-    yield Convention("lever arm", arm, ("pos", "vel"), _undo_arm, _by_arm, 3, 0.1, 100.0)
-    yield Convention("height", tell_height, ("pos",), _undo_height, _by_height, 1, 5.0, 200.0)
-    yield Convention("offset", tell_offset, ("pos",), _undo_offset, _by_offset, 2, 0.1, 1e4, alone=False)
-    angles = (np.deg2rad(0.5), np.deg2rad(90.0))
-    yield Convention(
-        "rotation of the body", partial(tell_turn, "forward, right, down"), ("phi",), _undo_turn_b,
+    yield _fitted(
+        "time offset of the fixes", partial(tell_time, "stamps of fixes"), ("pos", "vel"),
+        lambda motion: _by_time(motion) * _BUT_PHI, 1, 0.002, 1.0,
+    )  # fmt: skip
+    yield _fitted("lever arm", partial(tell_arm, antenna_b), ("pos", "vel"), _by_arm, 3, 0.1, 100.0)
+    yield _fitted("height", tell_height, ("pos",), partial(_by_axes, POS, [2]), 1, 5.0, 200.0)
+    offset = _fitted("offset", tell_offset, ("pos",), partial(_by_axes, POS, [0, 1]), 2, 0.1, 1e4)
+    yield replace(offset, alone=False)
+    yield _fitted(
+        "gyro scale", tell_scale, ("phi",), lambda motion: _in_rows(PHI, motion.turned_n[:, :, None]), 1,
+        1e-4, 0.2,
+    )  # fmt: skip
+    angles = (np.deg2rad(0.2), np.deg2rad(90.0))
+    yield _fitted(
+        "rotation of the body", partial(tell_turn, "forward, right, down"), ("phi",),
         lambda motion: _in_rows(PHI, motion.body_to_level), 3, *angles,
     )  # fmt: skip
-    yield Convention(
-        "rotation of the level", partial(tell_turn, "north, east, down"), ("phi",), _undo_turn_n,
-        lambda motion: _in_rows(PHI, np.tile(np.eye(3), (len(motion.lla), 1, 1))), 3, *angles,
+    yield _fitted(
+        "rotation of the level", partial(tell_turn, "north, east, down"), ("phi",),
+        partial(_by_axes, PHI, [0, 1, 2]), 3, *angles,
     )  # fmt: skip
+
+
+def _fitted(
+    name: str,
+    words: Callable[[FloatArray], str],
+    blocks: tuple[str, ...],
+    derivative: Derivative,
+    constants: int,
+    least: float,
+    most: float,
+) -> Convention:
+    """Return a convention whose errors are those of its derivative times the constants, turns included."""
+
+    def undo(answers: Answers, motion: TrueMotion, c: FloatArray) -> Answers:
+        lla, vel_n, q_nb, rows = answers.lla.copy(), answers.vel_n.copy(), answers.q_nb.copy(), motion.inside
+        error = derivative(motion) @ c
+        lla[rows] = earth.displace(lla[rows], -error[:, POS])
+        vel_n[rows] -= error[:, VEL]
+        q_nb[rows] = rotation.multiply(rotation.from_rotvec(-error[:, PHI]), q_nb[rows])
+        return replace(answers, lla=lla, vel_n=vel_n, q_nb=q_nb)
+
+    return Convention(name, words, blocks, undo, derivative, constants, least, most)
 
 
 def _in_rows(rows: slice, columns: FloatArray) -> FloatArray:
@@ -134,6 +191,10 @@ def _in_rows(rows: slice, columns: FloatArray) -> FloatArray:
     whole = np.zeros((len(columns), 9, columns.shape[2]))
     whole[:, rows] = columns
     return whole
+
+
+def _by_axes(rows: slice, axes: list[int], motion: TrueMotion) -> FloatArray:
+    return _in_rows(rows, np.tile(np.eye(3)[:, axes], (len(motion.lla), 1, 1)))
 
 
 def _undo_time(answers: Answers, _: TrueMotion, c: FloatArray) -> Answers:
@@ -144,17 +205,10 @@ def _by_time(motion: TrueMotion) -> FloatArray:
     return -np.hstack([motion.vel_n, motion.accel_n, motion.turn_n])[:, :, None]
 
 
-def tell_time(c: FloatArray) -> str:
+def tell_time(what: str, c: FloatArray) -> str:
     """Return the words for a constant shift of time [s]."""
-    return f"answers that are {abs(c[0]):.3f} s too {'late' if c[0] > 0 else 'early'}"
-
-
-def _undo_arm(answers: Answers, motion: TrueMotion, c: FloatArray) -> Answers:
-    lla, vel_n = answers.lla.copy(), answers.vel_n.copy()
-    rows = motion.inside
-    lla[rows] = earth.displace(lla[rows], -rotation.rotate(motion.q_nb, c))
-    vel_n[rows] -= rotation.rotate(motion.q_nb, np.cross(motion.turn_b, c))
-    return replace(answers, lla=lla, vel_n=vel_n)
+    leap = next((words for seconds, words in _LEAPS.items() if abs(abs(c[0]) - seconds) < _NEAR_LEAP), "")
+    return f"{what} that are {abs(c[0]):.3f} s too {'late' if c[0] > 0 else 'early'}{leap}"
 
 
 def _by_arm(motion: TrueMotion) -> FloatArray:
@@ -167,16 +221,10 @@ def _by_arm(motion: TrueMotion) -> FloatArray:
 def tell_arm(antenna_b: FloatArray, c: FloatArray) -> str:
     """Describe the point (3,) [m], b, with its motion reported in place of the motion of the IMU."""
     far = np.linalg.norm(antenna_b)
+    if np.linalg.norm(c + antenna_b) < 0.3 * far:
+        return f"a lever arm of {-c[0]:.2f}, {-c[1]:.2f}, {-c[2]:.2f} m that is applied twice"
     whose = "the antenna" if np.linalg.norm(c - antenna_b) < 0.3 * far else "a point"
     return f"the motion of {whose} {c[0]:.2f}, {c[1]:.2f}, {c[2]:.2f} m (forward, right, down) from the IMU"
-
-
-def _undo_height(answers: Answers, _: TrueMotion, c: FloatArray) -> Answers:
-    return replace(answers, lla=answers.lla + np.array([0.0, 0.0, 1.0]) * c[0])
-
-
-def _by_height(motion: TrueMotion) -> FloatArray:
-    return _in_rows(POS, np.tile(np.array([[0.0], [0.0], [1.0]]), (len(motion.lla), 1, 1)))
 
 
 def tell_height(c: FloatArray) -> str:
@@ -184,25 +232,14 @@ def tell_height(c: FloatArray) -> str:
     return f"heights over the geoid or another datum, {abs(c[0]):.1f} m too {'low' if c[0] > 0 else 'high'}"
 
 
-def _undo_offset(answers: Answers, _: TrueMotion, c: FloatArray) -> Answers:
-    return replace(answers, lla=earth.displace(answers.lla, np.array([-c[0], -c[1], 0.0])))
-
-
-def _by_offset(motion: TrueMotion) -> FloatArray:
-    return _in_rows(POS, np.tile(np.eye(3)[:, :2], (len(motion.lla), 1, 1)))
-
-
 def tell_offset(c: FloatArray) -> str:
     """Return the words for a constant offset (2,) north and east [m]."""
     return f"an offset of {c[0]:.2f} m north, {c[1]:.2f} m east"
 
 
-def _undo_turn_b(answers: Answers, _: TrueMotion, c: FloatArray) -> Answers:
-    return replace(answers, q_nb=rotation.multiply(answers.q_nb, rotation.from_rotvec(-c)))
-
-
-def _undo_turn_n(answers: Answers, _: TrueMotion, c: FloatArray) -> Answers:
-    return replace(answers, q_nb=rotation.multiply(rotation.from_rotvec(-c), answers.q_nb))
+def tell_scale(c: FloatArray) -> str:
+    """Return the words for an attitude that is integrated from gyros with a wrong scale [1]."""
+    return f"an attitude from gyros with a scale factor wrong by {100.0 * c[0]:.3f} %"
 
 
 def tell_turn(axes: str, c: FloatArray) -> str:
@@ -241,6 +278,9 @@ _Q_FRD_FLU = np.array([0.0, 1.0, 0.0, 0.0])
 
 
 _UP = np.array([1.0, 1.0, -1.0])
+_NEAR_LEAP = 0.02  # [s]
+_LEAPS = {1.0: ", a leap second", 18.0: ", the leap seconds between GPS time and UTC"}
+"""Shift of time [s] -> what it may be; `bench.simulation.signals.gps_time` counts 18 s since 2017."""
 
 
 def _list_exchanged() -> Iterator[Convention]:
@@ -250,6 +290,7 @@ def _list_exchanged() -> Iterator[Convention]:
         size = -float(np.log(factor))
         yield _exchange(f"latitude and longitude in {words}", "pos", scale, 2.0 * size)
         yield _exchange(f"attitude angles in {words}", "phi", partial(_undo_euler, 1.0 / factor), 3.0 * size)
+    yield _exchange("geocentric latitudes", "pos", _undo_geocentric)
     yield _exchange("heights that count downwards", "pos", partial(_scale, _UP))
     yield _exchange("velocities east, north, up", "vel", lambda v, _: v[:, [1, 0, 2]] * _UP)
     yield _exchange("vertical velocities that count upwards", "vel", partial(_scale, _UP))
@@ -264,11 +305,24 @@ def _list_exchanged() -> Iterator[Convention]:
         )
         if words:
             yield _exchange(f"an attitude {words}", "phi", partial(_undo_axes, conjugate, level, body))
+    yield _exchange("headings that are negated", "phi", _undo_heading)
     yield _exchange("quaternions with their scalar last", "phi", lambda q, _: rotation.from_scalar_last(q))
 
 
 def _scale(factors: FloatArray, values: FloatArray, _: TrueMotion) -> FloatArray:
     return values * factors
+
+
+def _undo_geocentric(lla: FloatArray, motion: TrueMotion) -> FloatArray:
+    """Return geodetic positions (K, 3); ``tan`` of a geocentric latitude is smaller by z / p over it."""
+    prime = earth.radii(motion.lla[:, 0])[1]
+    ratio = (prime * (1.0 - earth.WGS84.e2) + motion.lla[:, 2]) / (prime + motion.lla[:, 2])
+    return np.column_stack([np.arctan(np.tan(lla[:, 0]) / ratio), lla[:, 1:]])
+
+
+def _undo_heading(q: FloatArray, _: TrueMotion) -> FloatArray:
+    roll, pitch, heading = rotation.to_euler(q)
+    return rotation.from_euler(roll, pitch, -heading)
 
 
 def _undo_axes(conjugate: bool, level: bool, body: bool, q: FloatArray, _: TrueMotion) -> FloatArray:

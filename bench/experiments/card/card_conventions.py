@@ -55,7 +55,7 @@ def judge_conventions(plan: Plan, suite: Suite, label: str, own: Sequence[Rows])
             sensed = pipeline.sense(profile, truth, draw)
             antenna_b = sensed.data.antenna_b
             solutions.append(pipeline.navigate(choice, sensed.data, sensed.initial))
-        found = find_mistakes(truth, solutions, antenna_b, profile.evaluation.begin)
+        found = find_mistakes([truth] * len(solutions), solutions, antenna_b, profile.evaluation.begin)
     except (ValueError, EstimatorError, EstimatorFailedError):  # the card says of its runs what they raised
         return []
     if not found:

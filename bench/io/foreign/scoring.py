@@ -187,5 +187,5 @@ def _make_score(
     judged = judge_solution(label, solution, known, run.sensors, run.evaluation, run.profile, **facts)
     if isinstance(known, Trajectory) and judged.metrics["verdict"] in BROKEN:
         antenna_b = np.zeros(3) if run.sensors is None else run.sensors.antenna_b
-        judged = judged.explain(find_mistakes(known, [solution], antenna_b, run.evaluation.begin))
+        judged = judged.explain(find_mistakes([known], [solution], antenna_b, run.evaluation.begin))
     return Score(label, solution, judged.errors, judged.metrics, run, coverage, rows)
