@@ -1,117 +1,162 @@
-"""Causality test of a filter: change the data that arrive later, and compare the solutions.
+"""Causality tests of a filter: feed it piece by piece, or change what arrives later, and compare the answers.
 
-An answer at t may follow from all that has arrived until t, and from the IMU sample that t lies in. Where the
-values of everything that arrives after a time are those of other noise, the answers until
-then must not change by a bit.
+An answer at t may follow from all that has arrived until t, and from the IMU sample that t lies in. A filter
+that runs in pieces gets no more than that before its answer at t is taken. Of another filter, the values of
+everything that arrives after a time are replaced. The answers until then must not change by a bit.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass, fields, replace
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
 
-from bench.core.mathematics.arrays import BoolArray, FloatArray
+from bench.core.mathematics.arrays import BoolArray, IntArray
 from bench.core.mathematics.units import SAME_INSTANT
 from bench.core.records.data import NavSolution, SensorData
+from bench.core.words.exceptions import EstimatorError
+from bench.navigation.engine.record_cuts import cut_piece, nothing_known
+from bench.navigation.open_filters import PieceFilter
 
-_KEPT = ("t", "t_arrival", "dt", "valid", "sat", "system", "frequency", "epoch_start", "klobuchar", "gps_t0")
-"""Columns of records that stay as they are: when something was measured, and of what."""
-_ANSWERS = ("lla", "vel_n", "q_nb", "cov")
+_COLUMNS = ("lla", "vel_n", "q_nb", "cov", "gyro_bias_b", "accel_bias_b", "extra", "extra_sd", "offset_cov")
 _WHOLE = 0.9  # of the time before a time: a filter that uses so much uses the whole record
-
-
-@dataclass(frozen=True, slots=True)
-class LookAhead:
-    """Time by which a filter looks ahead."""
-
-    seconds: float  # the longest that was found [s]; 0: none
-    whole: bool  # as far as to the begin of the record
-    repeatable: bool  # whether it gives the same bits of the same record
-
-    @property
-    def text(self) -> str:
-        """Return the result in words."""
-        if not self.repeatable:
-            return "not repeatable: two runs of one record differ"
-        if self.seconds == 0.0:
-            return "uses the future: no"
-        return f"uses the future: {'the whole record' if self.whole else f'{self.seconds:.3g} s'}"
+_HALVINGS = 8  # of the rest of a record, in search of the last data that an answer uses
 
 
 def measure_look_ahead(
     run: Callable[[SensorData], NavSolution],
+    first: NavSolution,
     sensors: SensorData,
-    other: SensorData,
+    others: Sequence[SensorData],
     instants: Iterable[float],
-    first: NavSolution | None = None,
-) -> LookAhead:
-    """Return how far a filter looks ahead at some epochs.
+) -> tuple[float, str]:
+    """Return how far a filter looks ahead [s], 0 if not at all, and the same in words.
 
-    Parameters
-    ----------
-    run : callable
-        Returns the solution of the filter for a record; a new instance each time.
-    sensors, other : SensorData
-        Two realizations of the noise on the same motion.
-    instants : iterable of float
-        After which the second draw takes the place of the first [s]; each is moved to the IMU sample before.
-    first : NavSolution or None
-        Its solution of ``sensors``, if that is known to be the same in each run; None: it is found twice.
+    ``run`` returns the solution of a new instance for a record: ``first`` for ``sensors``. After ``instants``
+    [s], each moved to the IMU sample before, data are from ``others``; the first that shows it counts.
 
     Raises
     ------
     ValueError
-        If the runs are not of the same epochs, or it gives no answer.
+        If the records are not of the same epochs, or it gives no answer.
     """
-    first, again = (run(sensors), run(sensors)) if first is None else (first, first)
     if not (np.isfinite(first.lla).any() or np.isfinite(first.q_nb).any()):
         raise ValueError("it gives no answer")
-    if _find_change(first, again, np.inf) is not None:
-        return LookAhead(0.0, whole=False, repeatable=False)
-    longest, whole = 0.0, False
-    interval = float(np.median(np.diff(sensors.imu.t)))
+    t = sensors.imu.t
+    interval = float(np.median(np.diff(t)))
+
+    def find(after: float, until: float) -> float | None:
+        return find_change(first, run(change_later(sensors, others, after)), until)
+
     for instant in instants:
-        end = float(sensors.imu.t[np.searchsorted(sensors.imu.t, instant + SAME_INSTANT) - 1])
-        changed = _find_change(first, run(change_later(sensors, other, end)), end)
-        if changed is not None:
-            ahead = max(end - changed, interval)
-            longest = max(longest, ahead)
-            whole |= ahead > _WHOLE * (end - float(first.t[0]))
-    return LookAhead(longest, whole, repeatable=True)
+        end = float(t[max(int(np.searchsorted(t, instant + SAME_INSTANT)) - 1, 0)])
+        changed = find(end, end)
+        if changed is None:
+            continue
+        whole = max(end - changed, interval) > _WHOLE * (end - float(first.t[0]))
+        low, high = end, float(t[-1])
+        for _ in range(0 if whole else _HALVINGS):
+            middle = 0.5 * (low + high)
+            low, high = (low, middle) if find(middle, changed) is None else (middle, high)
+        seconds = max(low - changed, interval)
+        return seconds, "the whole record" if whole else f"{seconds:.3g} s"
+    return 0.0, "no"
 
 
-def change_later(sensors: SensorData, other: SensorData, after: float) -> SensorData:
-    """Return a record in which all data that arrive after a time [s] have other noise."""
+def change_later(sensors: SensorData, others: Sequence[SensorData], after: float) -> SensorData:
+    """Return a record with as many rows, in which all that arrives after a time [s] is of other records.
+
+    The last has the same epochs and gives IMU and satellites. The rest is of the first with enough rows after
+    the time: of the same motion without an outage, for example. ValueError if the epochs differ.
+    """
     changed = {}
     for one in fields(sensors):
-        record, source = getattr(sensors, one.name), getattr(other, one.name)
+        record = getattr(sensors, one.name)
         if not hasattr(record, "t"):
             continue
-        arrival = getattr(record, "t_arrival", record.t)
-        if source is None or not np.array_equal(source.t, record.t, equal_nan=True):
+        *rest, last = (getattr(other, one.name) for other in others)
+        if last is None or not np.array_equal(last.t, record.t, equal_nan=True):
             raise ValueError(f"{one.name}: the two runs have different epochs")
-        changed[one.name] = _take_later(record, source, arrival > after + SAME_INSTANT)
+        later = np.flatnonzero(getattr(record, "t_arrival", record.t) > after + SAME_INSTANT)
+        source, rows = last, later
+        for another in rest if one.name not in ("imu", "observations") else ():
+            found = np.flatnonzero(another.t_arrival > after + SAME_INSTANT)[: len(later)]
+            source, rows = (another, found) if len(found) == len(later) else (source, rows)
+        columns = {f.name: getattr(record, f.name) for f in fields(record)}
+        for name, column in columns.items():
+            if isinstance(column, np.ndarray) and len(column) == len(record.t):
+                columns[name] = column.copy()
+                columns[name][later] = getattr(source, name)[rows]
+        changed[one.name] = replace(record, **columns)
     return replace(sensors, **changed)
 
 
-def _take_later(record: Any, source: Any, later: BoolArray) -> Any:
-    columns: dict[str, FloatArray] = {}
-    for one in fields(record):
-        column = getattr(record, one.name)
-        if one.name not in _KEPT and isinstance(column, np.ndarray) and len(column) == len(later):
-            columns[one.name] = column.copy()
-            columns[one.name][later] = getattr(source, one.name)[later]
-    return replace(record, **columns)
+def find_change(first: NavSolution, other: NavSolution, until: float) -> float | None:
+    """Return the first time, until some time [s], at which two solutions tell anything else."""
+    rows = np.flatnonzero(first.t <= until + SAME_INSTANT)
+    times = first.t[rows][list_differing(first, rows, other, rows)][:1].tolist()
+    a, b = _tell_events(first), _tell_events(other)
+    times += [t for key, t in (a | b).items() if t <= until and not (key in a and key in b)]
+    return min(times, default=None)
 
 
-def _find_change(first: NavSolution, other: NavSolution, until: float) -> float | None:
-    """Return the first epoch, until some time [s], at which two solutions differ by a bit."""
-    rows = first.t <= until + SAME_INSTANT
-    differ = np.zeros(int(rows.sum()), np.bool_)
-    for name in _ANSWERS:
-        one, two = (getattr(solution, name)[rows].reshape(len(differ), -1) for solution in (first, other))
-        differ |= ((one != two) & ~(np.isnan(one) & np.isnan(two))).any(axis=1)
-    return float(first.t[rows][np.argmax(differ)]) if differ.any() else None
+def list_differing(one: NavSolution, its: IntArray, other: NavSolution, theirs: Any) -> BoolArray:
+    """Return which of some rows (M,) of two solutions differ by a bit; states that one lacks are NaN."""
+    differ = np.zeros(len(its), np.bool_)
+    for name in _COLUMNS:
+        a, b = (
+            np.empty((len(its), 0)) if column is None else column[rows].reshape(len(its), column[:1].size)
+            for column, rows in ((getattr(one, name), its), (getattr(other, name), theirs))
+        )
+        if a.shape == b.shape:
+            differ |= ((a != b) & ~(np.isnan(a) & np.isnan(b))).any(axis=1)
+        else:
+            differ |= ~(np.isnan(a).all(axis=1) & np.isnan(b).all(axis=1))
+    return differ
+
+
+def _tell_events(solution: NavSolution) -> dict[tuple[float, str, str], float]:
+    """Return when each event, by start, kind and sensor, has to be told [s]: an alarm when it starts."""
+    rows = [(*row, "") for row in solution.events.rows()]
+    return {(t, kind, sensor): t if kind == "integrity" else end for t, end, kind, _, sensor, *_ in rows}
+
+
+def find_late(filter_: PieceFilter, sensors: SensorData, whole: NavSolution, ends: BoolArray) -> list[float]:
+    """Feed a filter piece by piece; return the times of answers and events that are others, or late [s].
+
+    A piece ends at each epoch of ``ends`` (M,): the answer there is taken before anything later comes. Epochs
+    in a gap of the IMU belong to the piece after it. Epochs before the first answer of ``whole``, the solution
+    of the whole record, are left out. EstimatorError if the filter cannot run in pieces from this start.
+    """
+    output_t, imu_t = sensors.output_t, sensors.imu.t
+    counts = np.searchsorted(imu_t, output_t - SAME_INSTANT)
+    ends = ends & (np.append(imu_t - sensors.imu.dt, np.inf)[counts] < output_t - SAME_INSTANT)
+    ends[-1] = True
+    begun = np.isfinite(np.column_stack([whole.lla, whole.vel_n, whole.q_nb])).any(axis=1).cumsum() > 0
+    told, late = dict[tuple[float, str, str], float](), set[float]()
+    reached, count = -np.inf, 0
+    for k in np.flatnonzero(ends).tolist():
+        t, end = float(output_t[k]), int(counts[k]) + 1
+        parts = (filter_.advance(cut_piece(sensors, slice(count, end), reached, t)), _answer_now(filter_))
+        reached, count = t, end
+        for part in parts:
+            rows = np.minimum(np.searchsorted(output_t, part.t), len(output_t) - 1)
+            late.update(output_t[rows[list_differing(whole, rows, part, slice(None)) & begun[rows]]].tolist())
+            for key in _tell_events(part):
+                told.setdefault(key, t)
+        if begun[k] and not any(t in part.t for part in parts):
+            late.add(t)
+    for key, due in _tell_events(whole).items():
+        if told.get(key, np.inf) > next((t for t in output_t[ends] if t >= due - SAME_INSTANT), np.inf):
+            late.add(due)
+    return sorted(late)
+
+
+def _answer_now(filter_: PieceFilter) -> NavSolution:
+    """Return the answers that are left, as if the record ended here; none while the start is not known."""
+    try:
+        return filter_.copy().finish()
+    except EstimatorError:
+        return nothing_known(np.empty(0))

@@ -40,6 +40,7 @@ class Ahead:
         taken = {}
         for name in self.columns:
             own, other = getattr(honest, name), getattr(ahead, name)
+            other = other[:, : own.shape[1]]  # the smoother has more states
             taken[name] = np.where(rows.reshape(-1, *[1] * (own.ndim - 1)), other, own)
         return replace(honest, **taken)
 
@@ -183,7 +184,8 @@ class SeesTheAudit(Ahead):
         return np.full(len(honest.t), not any("causality" in name for name in names))
 
 
-_CALLS = []
+_CALLS: list[int] = []
+_KNOWN: set[bytes] = set()
 
 
 class SmoothsItsFirstRuns(Ahead):
@@ -197,11 +199,9 @@ class SmoothsItsFirstRuns(Ahead):
 class NoticesARepeat(Ahead):
     """Smooths a record unless it has seen its start before: the module keeps it."""
 
-    seen: set[bytes] = set()
-
     def rows(self, sensors, honest):
         first = sensors.imu.dvel_b[:20].tobytes()
-        known, _ = first in self.seen, self.seen.add(first)
+        known, _ = first in _KNOWN, _KNOWN.add(first)
         return np.full(len(honest.t), not known)
 
 

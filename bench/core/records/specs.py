@@ -37,6 +37,8 @@ class Guard:
         Largest solution [byte].
     in_process : bool
         Run a class in the process of bench, without limits, for a debugger.
+    confined : bool
+        On Linux, a class in its own process may open no files but its own. A card sets it.
 
     Raises
     ------
@@ -54,6 +56,7 @@ class Guard:
     memory: float | None = None
     output: float = 2e9
     in_process: bool = False
+    confined: bool = False
 
     def __post_init__(self) -> None:
         for name in ("timeout", "memory", "output"):

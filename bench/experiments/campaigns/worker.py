@@ -27,6 +27,7 @@ from bench.evaluation.ensembles.ensemble import sum_repetition
 from bench.evaluation.errors.error_series import heading_sd, select_epochs
 from bench.experiments.campaigns.heap import keep_freed_memory
 from bench.io import results
+from bench.navigation.engine.kept_rows import columns
 
 _PRINTED = 5_000  # of the begin and of the end of what a filter prints in a run [byte]
 
@@ -149,10 +150,11 @@ def _collect(result: RunResult, label: str, task: RunTask) -> dict[str, Any]:
 
 
 def hash_answers(solution: NavSolution) -> str:
-    """Return a hash of all bits of a solution: times, position, velocity, attitude, covariance."""
-    digest = hashlib.sha256()
-    for column in (solution.t, solution.lla, solution.vel_n, solution.q_nb, solution.cov):
-        digest.update(np.ascontiguousarray(column).data)
+    """Return a hash of all that a solution answers, events included; all NaN are equal."""
+    digest = hashlib.sha256(repr((solution.extra_names, solution.events.rows())).encode())
+    for name, column in columns(solution).items():
+        if isinstance(column, np.ndarray):
+            digest.update(name.encode() + np.where(np.isnan(column), np.nan, column).tobytes())
     return digest.hexdigest()[:16]
 
 

@@ -1,14 +1,17 @@
 """The line of a card about the look-ahead of a filter.
 
-The test covers what the card evaluates: it repeats runs of the suite and compares their answers with those of
-the card. The choice of runs depends on all answers, so that a filter cannot know it in advance.
+The hashes of all answers are known before. Then a run of each flight is drawn, so that a filter cannot know
+which, and repeated in a process of its own: the bits must be those of the card. A filter that runs in pieces
+is fed what has arrived until each epoch; for another one, the data that arrive later change.
 """
 
 from __future__ import annotations
 
 import hashlib
-import itertools
-from collections.abc import Sequence
+import os
+import secrets
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 
 import numpy as np
@@ -22,10 +25,18 @@ from bench.experiments.campaigns.plan import Plan
 from bench.experiments.campaigns.worker import hash_answers
 from bench.experiments.card.card_lines import UNPROVEN, Line, Rows
 from bench.experiments.card.card_suite import LATE, Suite
-from bench.navigation.causality import LookAhead, measure_look_ahead
+from bench.navigation.built_in import BUILT_IN
+from bench.navigation.causality import find_late, measure_look_ahead
+from bench.navigation.engine.record_cuts import longest_wait
+from bench.navigation.estimator import Estimator, answer
+from bench.navigation.open_filters import PieceFilter
 
-INSTANTS = 3  # at which the future is changed, of the flight whose fixes come late
-_OTHERS, _INSTANTS_THERE = 2, 2  # further flights, and their epochs
+_MOST = 8  # times of a flight after which the data change
+_BEGIN = 0.2  # of a record: its first part
+_BEFORE, _WELL_IN, _AFTER = 2.0, 0.3, 5.0  # an outage or a fault [s], part of it, and after it [s]
+_SHARE = 0.1  # of the epochs end a piece
+_AT_LATE = 3  # times at which answers in pieces differ
+_OTHER = 1 << 30  # noise of runs from this number on is on no card
 
 
 def hash_all_answers(own: Rows) -> str:
@@ -33,69 +44,132 @@ def hash_all_answers(own: Rows) -> str:
     return hashlib.sha256(" ".join(str(row.get("answers")) for row in own).encode()).hexdigest()[:16]
 
 
-def judge_causality(plan: Plan, suite: Suite, label: str, own: Sequence[Rows]) -> Line:
-    """Return the look-ahead of a filter, on the flight with late fixes and on randomly chosen flights.
+def profile_of(plan: Plan, flight: int, run: int) -> Profile:
+    """Return the profile of a run of a flight, by their numbers."""
+    return next(cell.profile for cell in plan.cells if cell.condition == flight)
 
-    Each run of a foreign filter class has its own process, so that data seen in another run cannot reveal the
-    future of this run. ``own`` contains its rows of each flight.
+
+def judge_causality(
+    plan: Plan, suite: Suite, label: str, own: Sequence[Rows], cpu_s: float, number: int | None = None
+) -> Line:
+    """Return the look-ahead of a filter in a random run of each flight, until the first that shows one.
+
+    ``own`` are its rows of each flight, ``cpu_s`` is the CPU time of the card [s]. ``number`` selects
+    the runs; None: a random number, which the line contains.
     """
     names = [flight.name for flight in suite.members]
-    number = names.index(LATE) if LATE in names else 0
-    rng = np.random.default_rng(int(hash_all_answers([row for rows in own for row in rows]), 16))
-    others = rng.permutation([k for k in range(len(names)) if k != number])[:_OTHERS].tolist()
-    profiles = {cell.condition: cell.profile for cell in plan.cells}
-    (choice,) = (one for one in profiles[number].estimators if one.label == label)
+    home = names.index(LATE) if LATE in names else 0
+    (choice,) = (one for one in profile_of(plan, home, 0).estimators if one.label == label)
     if choice.use.startswith("file:"):
-        return _make_line(names[number], "uses the future: not proven, its answers were made elsewhere")
-    found = dict[str, LookAhead]()
-    for k, instants in ((number, INSTANTS), *((k, _INSTANTS_THERE) for k in others)):
+        return _make_line(names[home], "not proven, its answers were made elsewhere")
+    number = secrets.randbits(48) if number is None else number
+    seed = int(hash_all_answers([row for rows in own for row in rows]), 16)
+    audit, begun = _Audit(choice, np.random.default_rng([number, seed])), sum(os.times()[:4])
+    for k in sorted(range(len(names)), key=lambda k: k != home):
+        place = f", on {names[k]}" if k != home else ""
         try:
-            found[names[k]] = measure(profiles[k], choice, own[k], instants, rng)
+            seconds, text = audit.examine(plan, k, own[k])
         except (ValueError, EstimatorError, EstimatorFailedError) as error:
-            text = f"uses the future: not proven, {one_line(str(error))[:200]}"
-            return _make_line(names[number], text + _name_place(k != number, names[k]), word=UNPROVEN)
-        if not found[names[k]].repeatable:
-            break
-    worst = max(found, key=lambda name: (not found[name].repeatable, found[name].seconds))
-    one = found[worst]
-    text = one.text + _name_place(worst != names[number], worst)
-    if not one.repeatable:
-        return _make_line(names[number], text, word=UNPROVEN)
-    if one.seconds == 0.0 and others:
-        text += f", neither here nor on {' and '.join(names[k] for k in others)}"
-    return _make_line(names[number], text, one.seconds)
-
-
-def _name_place(elsewhere: bool, name: str) -> str:
-    return f", on {name}" if elsewhere else ""
+            return _make_line(names[home], f"not proven, {one_line(str(error))[:200]}{place}", None, UNPROVEN)
+        if seconds:
+            return _make_line(names[home], f"{text}{place}", seconds)
+    share = (sum(os.times()[:4]) - begun) / cpu_s if cpu_s else np.inf
+    return _make_line(names[home], f"no; {audit.describe()}; audit {number}, {share:.2g} times the CPU", 0.0)
 
 
 def _make_line(flight: str, text: str, value: float | None = None, word: str = "") -> Line:
     return Line(
         topic="causality", flight=flight, figure="look-ahead [s]", value=value, low=value, high=value,
-        sentence=f"{flight}: {text}.", word=word,
+        sentence=f"{flight}: uses the future: {text}.", word=word,
     )  # fmt: skip
 
 
-def measure(
-    profile: Profile, choice: EstimatorChoice, own: Rows, count: int, rng: np.random.Generator
-) -> LookAhead:
-    """Return the look-ahead in a random run of a flight; its solution must equal that on the card."""
-    good = [k for k, row in enumerate(own) if row["converged"]] or list(range(len(own)))
-    draw = int(rng.choice(good))
-    truth = pipeline.fly(profile)
-    one, other = (pipeline.sense(profile, truth, k) for k in (draw, len(own)))
-    fixes = one.data.fixes
-    assert fixes is not None  # every flight of the suite has them
-    before = fixes.t_arrival - np.median(np.diff(one.data.imu.t))  # where the next fix has not arrived
-    instants = np.sort(rng.choice(before[len(before) // 5 :], count, replace=False))
-    number = itertools.count(1)
+class _Audit:
+    """Runs of a filter that are repeated, and what was done with each."""
 
-    def run(data: SensorData) -> NavSolution:
-        fresh = replace(choice, label=f"{choice.label} {next(number)}")  # a process is kept by its label
-        return pipeline.navigate(fresh, data, one.initial)
+    def __init__(self, choice: EstimatorChoice, rng: np.random.Generator) -> None:
+        self.choice, self.rng = choice, rng
+        self.fed = self.changed = self.instants = self.processes = 0
+        self.place = ""  # where a filter runs that is not of bench
 
-    first = run(one.data)
-    if hash_answers(first) != own[draw].get("answers"):
-        return LookAhead(0.0, whole=False, repeatable=False)
-    return measure_look_ahead(run, one.data, other.data, instants, first)
+    def describe(self) -> str:
+        """Return what the runs show, in words."""
+        told = [f"fed in pieces in {self.fed} runs"] if self.fed else []
+        told += [f"other data after {self.instants} times in {self.changed} runs"] if self.changed else []
+        chance = 100.0 * (1.0 - 0.9 ** (self.fed + self.changed))
+        where = f"{' and '.join(told)}{self.place}"
+        return f"{where}; one that looks ahead in a tenth of all runs is found with {chance:.0f} %"
+
+    @contextmanager
+    def build(self) -> Iterator[Estimator]:
+        """Provide the filter in a process of its own, which cannot know another run."""
+        self.processes += 1
+        label = f"{self.choice.label} {self.processes}"  # a process is kept by its label
+        one = pipeline.build_estimator(replace(self.choice, label=label))
+        if self.choice.use not in BUILT_IN:
+            self.place = f", {'confined' if getattr(one, 'confined', False) else 'not confined'}"
+        try:
+            yield one
+        finally:
+            getattr(one, "close", lambda: None)()
+
+    def examine(self, plan: Plan, flight: int, own: Rows) -> tuple[float, str]:
+        """Return the look-ahead [s] in a random run of a flight, and in words; errors if it is not proven."""
+        good = [k for k, row in enumerate(own) if row["converged"]] or list(range(len(own)))
+        draw = int(self.rng.choice(good))
+        profile = profile_of(plan, flight, draw)
+        truth, sensors = pipeline.fly(profile), profile.sensors
+        one = pipeline.sense(profile, truth, draw)
+
+        def run(data: SensorData) -> NavSolution:
+            with self.build() as built:
+                return answer(built, self.choice.label, data, one.initial)
+
+        first = run(one.data)
+        if hash_answers(first) != own[draw].get("answers"):
+            same = hash_answers(run(one.data)) == hash_answers(first)
+            raise ValueError("its answers depend on other runs" if same else "it is not repeatable")
+        late: list[float] | None = None  # it cannot be fed
+        with suppress(EstimatorError), self.build() as built:
+            use, options, wait = self.choice.use, self.choice.options, longest_wait(one.data)
+            filter_ = PieceFilter(use, options, built, one.initial, wait)
+            late = find_late(filter_, one.data, first, self.rng.random(len(first)) < _SHARE)
+        if late == []:
+            self.fed += 1
+            return 0.0, "no"
+        spans = [*sensors.gnss_outages, *((fault.start, fault.end) for fault in sensors.faults)]
+        instants = choose_instants(one.data, spans, self.rng)
+        if late:  # it may look ahead there, or differ in pieces for another reason
+            instants = [late[0], *self.rng.choice(late, min(len(late), _AT_LATE)).tolist(), *instants]
+        self.changed, self.instants = self.changed + 1, self.instants + len(instants)
+        calm = replace(profile, sensors=replace(sensors, faults=(), gnss_outages=()))
+        others = [
+            pipeline.sense(spec, truth, int(self.rng.integers(_OTHER, 2 * _OTHER))).data
+            for spec in ([calm, profile] if spans else [profile])
+        ]
+        return measure_look_ahead(run, first, one.data, others, instants)
+
+
+def choose_instants(
+    data: SensorData, spans: Iterable[tuple[float, float]], rng: np.random.Generator
+) -> list[float]:
+    """Return up to `_MOST` random times [s]: in the first part of a record, the rest, and around ``spans``.
+
+    Those are outages and faults. The times are one IMU sample before a fix arrives, if one does.
+    """
+    begin, middle, end = np.quantile(data.output_t, (0.0, _BEGIN, 1.0)).tolist()
+    parts = [(begin, middle), (middle, end)]
+    around = [
+        (max(low, begin), min(high, end))
+        for first, last in spans
+        for low, high in (
+            (first - _BEFORE, first), (first + _WELL_IN * (last - first), last), (last, last + _AFTER)
+        )
+        if max(low, begin) < min(high, end)
+    ]  # fmt: skip
+    parts += [around[k] for k in rng.permutation(len(around))[: _MOST - len(parts)]]
+    arrival = np.sort(data.fixes.t_arrival) if data.fixes is not None else np.empty(0)
+    before = np.append(arrival - np.median(np.diff(data.imu.t)), np.inf)
+    drawn = [(at, high) for low, high in parts for at in [rng.uniform(low, high)]]
+    fixes = before[np.searchsorted(before, [at for at, _ in drawn])].tolist()
+    return [fix if fix < high else at for fix, (at, high) in zip(fixes, drawn, strict=True)]

@@ -213,6 +213,7 @@ def make_card(
     guard: Guard = DEFAULT_GUARD,
     seed: int | None = None,
     requirements: Path | None = None,
+    audit: int | None = None,
     runs: Path | None = None,
     resume: bool = True,
     jobs: int | None = None,
@@ -239,6 +240,8 @@ def make_card(
         Seed of all flights. Default: the seeds of the profiles.
     requirements : Path, optional
         File of ``[[requirement]]`` rows (`bench.experiments.card.card_requirements`).
+    audit : int, optional
+        Number of an audit of causality, to repeat it. Default: a random number.
     runs : Path, optional
         Folder that keeps the runs.
     resume : bool, optional
@@ -265,7 +268,7 @@ def make_card(
     >>> import bench
     >>> bench.make_card("loose-15", quick=True).summary  # doctest: +SKIP
     """
-    suite = replace(QUICK if quick else FULL, seed=seed)
+    suite, guard = replace(QUICK if quick else FULL, seed=seed), replace(guard, confined=True)
     names = [flight.name for flight in suite.members]
     required = () if requirements is None else read_requirements(requirements, names)
     plan, (own, other, yardstick) = plan_card(suite, estimator, against, guard, label, options)
@@ -286,7 +289,7 @@ def make_card(
         lines += judge_flight(flight, mine, beside, other, without, bound_errors_of(profile))
         lines += judge_requirements(flight.name, own, mine, required)
     by_flight = [select(name, own) for name in names]
-    lines.append(judge_causality(plan, suite, own, by_flight))
+    lines.append(judge_causality(plan, suite, own, by_flight, result.timing["run_cpu_s"], audit))
     lines += judge_conventions(plan, suite, own, by_flight)
     judged = [row for row in rows if row["estimator"] == own]
     return Card(
@@ -370,6 +373,7 @@ def verify_card(
     if not card.use:
         raise ConfigError("the card does not name its filter. Make it again with this version of bench")
     suite = replace(QUICK if card.suite.endswith("quick") else FULL, seed=card.seed)
+    guard = replace(guard, confined=True)
     named = None if card.estimator == make_choice(card.use).label else card.estimator
     plan, (own, *_) = plan_card(suite, card.use, YARDSTICK, guard, named, card.options)
     if hash_suite(plan) != card.suite_hash:

@@ -44,6 +44,7 @@ from bench.core.words.exceptions import (
     EstimatorStoppedError,
     FilterTraceback,
 )
+from bench.io.foreign.confinement import make_place
 from bench.io.foreign.filter_server import ANSWER, REQUEST, watch
 from bench.io.foreign.record_messages import RecordMessage, read_message
 from bench.navigation.engine.record_cuts import without_orbits
@@ -77,7 +78,11 @@ class FilterProcess:
         self._cpu_s = 0.0
         ours, theirs = socket.socketpair()
         ends, life = os.pipe()
-        code = _START.format(path=[str(path) for path in sys.path], channel=theirs.fileno(), life=ends)
+        self._place = contextlib.ExitStack()
+        self.home = self._place.enter_context(make_scratch()) if guard.confined else None
+        work, environment = make_place(self.home) if self.home else (None, None)
+        path = [os.path.abspath(one) if self.home else str(one) for one in sys.path]
+        code = _START.format(path=path, channel=theirs.fileno(), life=ends)
         with theirs, os.fdopen(ends, "rb"):
             self._child = subprocess.Popen(
                 [sys.executable, "-c", code],
@@ -86,6 +91,8 @@ class FilterProcess:
                 stderr=subprocess.STDOUT,
                 pass_fds=(theirs.fileno(), ends),
                 start_new_session=True,
+                cwd=work,
+                env=environment,
             )
         assert self._child.stdout is not None
         self._line, self._stream = ours, self._child.stdout
@@ -97,7 +104,7 @@ class FilterProcess:
         self._poll = select.poll()
         for place in (self._line, self._stream):
             self._poll.register(place, select.POLLIN)
-        self._close = weakref.finalize(self, _end, self._child, self._line, self._stream, life)
+        self._close = weakref.finalize(self, _end, self._child, self._line, self._stream, life, self._place)
 
     @property
     def usable(self) -> bool:
@@ -154,7 +161,7 @@ class FilterProcess:
         try:
             path, parts = b"", message.parts
             if message.size > _INLINE:
-                file = self._files.enter_context(make_scratch()) / "record.npy"
+                file = self._files.enter_context(make_scratch(self.home)) / "record.npy"
                 message.write(file)
                 path, parts = os.fsencode(file), []
             head = REQUEST.pack(len(message.text), message.size, len(path))
@@ -311,12 +318,15 @@ def pack_specs(specs: AssumedSpecs) -> NDArray[np.uint8]:
     return np.frombuffer(pickle.dumps(without_orbits(specs)), np.uint8)
 
 
-def _end(child: subprocess.Popen[bytes], line: socket.socket, stream: Any, life: int) -> None:
+def _end(
+    child: subprocess.Popen[bytes], line: socket.socket, stream: Any, life: int, place: contextlib.ExitStack
+) -> None:
     """End a process, which may have ended already."""
     line.close()
     end_group(child, signal.SIGKILL)
     stream.close()
     os.close(life)
+    place.close()
 
 
 class _Kept(threading.local):

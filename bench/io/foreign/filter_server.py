@@ -30,9 +30,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.core.files import disk_arrays
+from bench.core.files.installed import find_class
 from bench.core.files.places import PACKAGE
 from bench.core.records.data import InitialState, NavSolution, SensorData
 from bench.core.words.exceptions import EstimatorError, EstimatorFailedError
+from bench.io.foreign.confinement import HINT, confine
 from bench.io.foreign.record_messages import RecordMessage, read_message
 from bench.navigation import built_in, estimator
 from bench.navigation.engine.piecewise import InPieces, RunsInPieces
@@ -152,6 +154,7 @@ class _FilterServer:
         self._home = os.getcwd()
         self._before = set(sys.modules)
         self._specs: Any = None
+        self._confined = False
 
     def answer(self, text: bytes, body: NDArray[np.uint8]) -> RecordMessage:
         """Execute a request; return the answer, or the reason why there is none."""
@@ -166,6 +169,8 @@ class _FilterServer:
         except BaseException as error:  # of the filter, whatever it is
             own = isinstance(error, EstimatorFailedError)
             failure = error if own else estimator.make_failure(label, f"{do}()", error)
+            if self._confined and isinstance(error.__cause__ or error, PermissionError | FileNotFoundError):
+                failure = EstimatorFailedError(f"{failure} ({HINT})")
             said = "".join(traceback.format_exception(error.__cause__ or error))[-_MOST_SAID:]
             return RecordMessage({"failed": str(failure), "traceback": said})
 
@@ -173,9 +178,12 @@ class _FilterServer:
         """Store the datasheets of the next records."""
         self._specs = pickle.loads(specs.tobytes())
 
-    def open(self, use: str, label: str, options: NDArray[np.uint8]) -> dict[str, Any]:
-        """Build a filter; return its number and its optional methods."""
+    def open(self, use: str, label: str, options: NDArray[np.uint8], home: str) -> dict[str, Any]:
+        """Build a filter, confined if there is a folder for that; return its number and optional methods."""
         self._go_home()
+        if home and not self._confined:
+            module = find_class(use, built_in.BUILT_IN).partition(":")[0]
+            self._confined = confine(module, Path(home))
         given = pickle.loads(options.tobytes())
         try:
             one = built_in.load(use, given)
@@ -189,6 +197,7 @@ class _FilterServer:
             "offers": [name for name in OFFERS if callable(getattr(one, name, None))],
             "finds_start": bool(getattr(one, "finds_start", False)),
             "files": self._list_files(),
+            "confined": self._confined,
         }
 
     def run(self, number: int, sensors: SensorData, initial: InitialState) -> NavSolution:

@@ -2,7 +2,7 @@
 
 Sensors, datasheets and the start go in; the solution comes out. A filter keeps its process from one run to
 the next, with a new instance of its class for each. It is started again after a limit, a crash, or a change
-of its files. That guards against accidents, not against intent: the process may read what the user may read.
+of its files. That guards against accidents. With a confined guard it may open no files but its own, on Linux.
 """
 
 from __future__ import annotations
@@ -74,6 +74,7 @@ class OwnProcessEstimator:
         built = self._process.collect()
         self._held, self._process.files = _Held(self._process, built["number"]), built["files"]
         self.needs, self.finds_start = tuple(built["needs"]), built["finds_start"]
+        self.confined = built["confined"]
         offered: dict[str, Any] = {
             "in_pieces": self._begin,
             "check_sensors": self._refuse,
@@ -101,6 +102,10 @@ class OwnProcessEstimator:
         finally:
             self.cpu_s = process.cpu_s - begun
         return replace(found)  # checked once more, here
+
+    def close(self) -> None:
+        """End the process; the next run starts another."""
+        self._process.close()
 
     def _refuse(self, specs: AssumedSpecs) -> str:
         self._ready()
@@ -137,8 +142,8 @@ class OwnProcessEstimator:
         process = take_process(self._choice, self._options)
         process.printed = self._printed
         options = np.frombuffer(self._options, np.uint8)
-        given = {"use": self._choice.use, "label": self._choice.label, "options": options}
-        process.post(self._choice.label, "open", self._limit, **given)
+        given = {"use": self._choice.use, "options": options, "home": str(process.home or "")}
+        process.post(self._choice.label, "open", self._limit, label=self._choice.label, **given)
         return process
 
     def _ready(self) -> FilterProcess:
