@@ -58,7 +58,6 @@ CHEATS = (
         "knows the truth, and is a decimeter off",
         "KnowsTheTruth",
         ("accuracy",),
-        options={"profile": "s-turns"},
     ),
 )
 

@@ -35,7 +35,7 @@ def test_a_filter_in_cpp_gets_the_card_of_the_same_filter_in_python(tmp_path, mo
     monkeypatch.setattr(running, "choose_pool", lambda *_: ExecutorPool(SerialExecutor(), 1))
     Path("short.toml").write_text(PROFILE)
     flight = SuiteFlight("plain", "short.toml", {})
-    monkeypatch.setattr(card_making, "QUICK", Suite("card-quick", (), runs=2, members=(flight,)))
+    monkeypatch.setattr(card_making, "QUICK", Suite("card-quick", (), draws=2, members=(flight,)))
     for topic, name in (("filter-in-cpp", "carry.cpp"), ("filter-protocol", "carry_fix.py")):
         Path(name).write_text(read_block(topic, name))
     subprocess.check_call([str(COMPILER), "-O2", "-Wall", "-Werror", "-o", "carry", "carry.cpp"])

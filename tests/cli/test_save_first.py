@@ -98,7 +98,7 @@ def place(tmp_path_factory) -> Iterator[Path]:
             "rest.csv", rows, "%.9f", ",", header="t_s,gyro_x_rad_s,gyro_y_rad_s,gyro_z_rad_s", comments=""
         )
         flights = (SuiteFlight("plain", "short.toml"),)
-        patch.setattr(card_making, "QUICK", Suite("card-quick", (), runs=2, members=flights))
+        patch.setattr(card_making, "QUICK", Suite("card-quick", (), draws=2, members=flights))
         patch.setattr(running, "choose_pool", lambda *_: ExecutorPool(SerialExecutor(), 1))
         for owner, name in (
             (log_pipeline, "read_log"),

@@ -2,22 +2,15 @@
 
 from __future__ import annotations
 
-import os
-import shutil
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-import bench
 from bench import pipeline
 from bench.core.records.specs import EstimatorChoice, Guard
-from bench.core.words.exceptions import EstimatorError, EstimatorFailedError
-from bench.io.foreign import confinement
 from bench.simulation import sensors
-from tests.builders import assert_same_solution
 from tests.synthetic import turning
 
 OWN = """
@@ -62,7 +55,9 @@ def place(tmp_path, monkeypatch) -> Iterator[Path]:
     """A folder to stand in, with a filter, its helpers and its table, and results of others."""
     (tmp_path / "mine.py").write_text(OWN)
     (tmp_path / "helper.py").write_text("ONE = 1.0\n")
-    (tmp_path / "late_helper.py").write_text("def scale(found, one):\n    return found if one == 1.0 else None\n")
+    (tmp_path / "late_helper.py").write_text(
+        "def scale(found, one):\n    return found if one == 1.0 else None\n"
+    )
     np.save(tmp_path / "table.npy", np.ones(1))
     for name in ("runs", "cards"):
         (tmp_path / name).mkdir()

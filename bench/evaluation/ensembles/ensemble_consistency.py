@@ -112,7 +112,7 @@ def judge_ratios(ratios: Mapping[str, FloatArray], inside: FloatArray | None = N
     if words:
         word = _OVER if _OVER in words.values() else _UNDER
         text = ", ".join(_name_wrong(words, found))
-    elif share is not None and share.high < LEAST_INSIDE:
+    elif share and share.high < LEAST_INSIDE and TOLERATED[0] <= found[WHOLE].value <= TOLERATED[1]:
         word = "uneven"
         text = f"uneven, in the central 95 % of its distribution for {100 * share.value:.3g} % of the time"
     elif loose and loose != [WHOLE]:

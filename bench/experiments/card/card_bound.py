@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -23,13 +24,26 @@ _UNKNOWN = ("airspeed", "odometer", "radar")
 """Instruments that the linear model lacks."""
 
 
+def pool_bounds(profiles: Sequence[Profile]) -> tuple[dict[str, float], str]:
+    """Return the smallest possible RMS errors over the runs of a flight, or why there are none.
+
+    Each run has its own truth; a topic that is without a bound in one has none.
+    """
+    found = list(map(bound_errors_of, profiles))
+    if without := next((text for errors, text in found if not errors), ""):
+        return {}, without
+    topics = [topic for topic in found[0][0] if all(topic in errors for errors, _ in found)]
+    squares = {topic: [errors[topic] ** 2 for errors, _ in found] for topic in topics}
+    return {topic: float(np.sqrt(np.mean(values))) for topic, values in squares.items()}, found[0][1]
+
+
 def bound_errors_of(profile: Profile) -> tuple[dict[str, float], str]:
     """Return the smallest possible RMS errors by topic [m, m/s, deg], or the reason why there are none.
 
-    The covariance is that of the flight and its sensors, the same in every run. What the linear
-    model lacks counts as known, since who knows more errs less: faults do not happen, a start is told, and an
-    attitude beyond its range, found by the course, or with an instrument for it on board has no error. Who
-    stands still may know it, which is more than the sensors tell.
+    The covariance is that of the flight and its sensors. What the linear model lacks counts as known, since
+    who knows more errs less: faults do not happen, a start is told, and an attitude beyond its range, found
+    by the course, or with an instrument for it on board has no error. Who stands still may know it, which is
+    more than the sensors tell.
     """
     on_board = profile.sensors
     if lacks := [name for name in _UNKNOWN if getattr(on_board, name) is not None]:

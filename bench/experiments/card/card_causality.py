@@ -18,7 +18,7 @@ import numpy as np
 
 from bench import pipeline
 from bench.core.records.data import NavSolution, SensorData
-from bench.core.records.specs import EstimatorChoice, Profile
+from bench.core.records.specs import EstimatorChoice
 from bench.core.words.exceptions import EstimatorError, EstimatorFailedError
 from bench.core.words.wording import one_line
 from bench.experiments.campaigns.plan import Plan
@@ -44,11 +44,6 @@ def hash_all_answers(own: Rows) -> str:
     return hashlib.sha256(" ".join(str(row.get("answers")) for row in own).encode()).hexdigest()[:16]
 
 
-def profile_of(plan: Plan, flight: int, run: int) -> Profile:
-    """Return the profile of a run of a flight, by their numbers."""
-    return next(cell.profile for cell in plan.cells if cell.condition == flight)
-
-
 def judge_causality(
     plan: Plan, suite: Suite, label: str, own: Sequence[Rows], cpu_s: float, number: int | None = None
 ) -> Line:
@@ -59,7 +54,7 @@ def judge_causality(
     """
     names = [flight.name for flight in suite.members]
     home = names.index(LATE) if LATE in names else 0
-    (choice,) = (one for one in profile_of(plan, home, 0).estimators if one.label == label)
+    (choice,) = (one for one in suite.profile_of(plan, home, 0).estimators if one.label == label)
     if choice.use.startswith("file:"):
         return _make_line(names[home], "not proven, its answers were made elsewhere")
     number = secrets.randbits(48) if number is None else number
@@ -68,7 +63,7 @@ def judge_causality(
     for k in sorted(range(len(names)), key=lambda k: k != home):
         place = f", on {names[k]}" if k != home else ""
         try:
-            seconds, text = audit.examine(plan, k, own[k])
+            seconds, text = audit.examine(plan, suite, k, own[k])
         except (ValueError, EstimatorError, EstimatorFailedError) as error:
             return _make_line(names[home], f"not proven, {one_line(str(error))[:200]}{place}", None, UNPROVEN)
         if seconds:
@@ -113,13 +108,13 @@ class _Audit:
         finally:
             getattr(one, "close", lambda: None)()
 
-    def examine(self, plan: Plan, flight: int, own: Rows) -> tuple[float, str]:
+    def examine(self, plan: Plan, suite: Suite, flight: int, own: Rows) -> tuple[float, str]:
         """Return the look-ahead [s] in a random run of a flight, and in words; errors if it is not proven."""
         good = [k for k, row in enumerate(own) if row["converged"]] or list(range(len(own)))
         draw = int(self.rng.choice(good))
-        profile = profile_of(plan, flight, draw)
+        profile = suite.profile_of(plan, flight, draw)
         truth, sensors = pipeline.fly(profile), profile.sensors
-        one = pipeline.sense(profile, truth, draw)
+        one = pipeline.sense(profile, truth)
 
         def run(data: SensorData) -> NavSolution:
             with self.build() as built:

@@ -35,7 +35,6 @@ def judge_conventions(plan: Plan, suite: Suite, label: str, own: Sequence[Rows])
     own : sequence of rows
         Its rows of each flight.
     """
-    profiles = {cell.condition: cell.profile for cell in plan.cells}
     broken = {
         k: [draw for draw, row in enumerate(rows) if row.get("verdict") in BROKEN]
         for k, rows in enumerate(own)
@@ -43,19 +42,20 @@ def judge_conventions(plan: Plan, suite: Suite, label: str, own: Sequence[Rows])
     flights = [k for k, draws in broken.items() if len(draws) > _MOST_BROKEN * len(own[k])]
     if not flights:
         return []
-    number = min(flights, key=lambda k: (bool(profiles[k].sensors.faults), k))
-    profile, name = profiles[number], suite.members[number].name
-    (choice,) = (one for one in profile.estimators if one.label == label)
+    number = min(flights, key=lambda k: (bool(suite.profile_of(plan, k, 0).sensors.faults), k))
+    draws, name = broken[number][:_DRAWS], suite.members[number].name
+    profiles = [suite.profile_of(plan, number, draw) for draw in draws]
+    (choice,) = (one for one in profiles[0].estimators if one.label == label)
     if choice.use in BUILT_IN:
         return []
-    truth = pipeline.fly(profile)
+    truths = list(map(pipeline.fly, profiles))
     solutions, antenna_b = [], np.zeros(3)
     try:
-        for draw in broken[number][:_DRAWS]:
-            sensed = pipeline.sense(profile, truth, draw)
+        for profile, truth in zip(profiles, truths, strict=True):
+            sensed = pipeline.sense(profile, truth)
             antenna_b = sensed.data.antenna_b
             solutions.append(pipeline.navigate(choice, sensed.data, sensed.initial))
-        found = find_mistakes([truth] * len(solutions), solutions, antenna_b, profile.evaluation.begin)
+        found = find_mistakes(truths, solutions, antenna_b, profiles[0].evaluation.begin)
     except (ValueError, EstimatorError, EstimatorFailedError):  # the card says of its runs what they raised
         return []
     if not found:

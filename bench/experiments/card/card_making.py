@@ -23,7 +23,7 @@ from bench.evaluation.requirements.required_metrics import Finding
 from bench.evaluation.requirements.share_test import MET
 from bench.experiments.campaigns.plan import Plan, hash_estimator, plan_campaign
 from bench.experiments.campaigns.running import run_campaign
-from bench.experiments.card.card_bound import bound_errors_of
+from bench.experiments.card.card_bound import pool_bounds
 from bench.experiments.card.card_causality import hash_all_answers, judge_causality
 from bench.experiments.card.card_conventions import judge_conventions
 from bench.experiments.card.card_lines import (
@@ -44,7 +44,7 @@ from bench.experiments.card.card_suite import FULL, QUICK, VERSION, Suite, hash_
 from bench.io import results
 from bench.io.config.profile import make_choice
 from bench.io.config.tables import ROWS, Table, check_table
-from bench.io.foreign.solution_folder import share_equal_files, write_sensors
+from bench.io.foreign.solution_folder import write_sensors
 
 AGAINST = "loose-full"
 """The filter that others are compared with."""
@@ -192,12 +192,10 @@ def write_suite(folder: str | Path, *, quick: bool = False) -> Path:
     with results.make_folder(folder, kind=results.EXPORT) as partial:
         for one in plan.runs:
             cell = plan.cells[one.cell]
+            flight, draw = suite.locate(cell.condition)
             sensed = pipeline.sense(cell.profile, pipeline.fly(cell.profile), one.run)
             place = write_sensors(partial, sensed.data, sensed.initial)
-            draws.append(
-                {"folder": place.name, "flight": suite.members[cell.condition].name, "draw": one.run}
-            )
-        share_equal_files(partial)
+            draws.append({"folder": place.name, "flight": suite.members[flight].name, "draw": draw})
         suite_hash = hash_suite(plan)
         results.write_json(partial / "suite.json", {"suite": suite.name, "hash": suite_hash, "draws": draws})
     return folder
@@ -237,7 +235,7 @@ def make_card(
     guard : Guard, optional
         Limits for programs and classes.
     seed : int, optional
-        Seed of all flights. Default: the seeds of the profiles.
+        Of the places, headings, winds and noises of all runs. Default: those of the suite.
     requirements : Path, optional
         File of ``[[requirement]]`` rows (`bench.experiments.card.card_requirements`).
     audit : int, optional
@@ -268,7 +266,7 @@ def make_card(
     >>> import bench
     >>> bench.make_card("loose-15", quick=True).summary  # doctest: +SKIP
     """
-    suite, guard = replace(QUICK if quick else FULL, seed=seed), replace(guard, confined=True)
+    suite, guard = replace(QUICK if quick else FULL, draw_seed=seed), replace(guard, confined=True)
     names = [flight.name for flight in suite.members]
     required = () if requirements is None else read_requirements(requirements, names)
     plan, (own, other, yardstick) = plan_card(suite, estimator, against, guard, label, options)
@@ -278,15 +276,19 @@ def make_card(
     rows, cpu = result.runs.to_pylist(), result.estimator_cpu_s
 
     def select(name: str, label: str) -> Rows:
-        return [row for row in rows if (row["condition"], row["estimator"]) == (names.index(name), label)]
+        return [
+            row
+            for row in rows
+            if (suite.locate(row["condition"])[0], row["estimator"]) == (names.index(name), label)
+        ]
 
     lines: list[Line] = []
-    for flight in suite.members:
+    for number, flight in enumerate(suite.members):
         beside = select(flight.name, other) if other != own else []
         without = select(flight.without, own) if flight.without else []
-        profile = next(cell.profile for cell in plan.cells if cell.condition == names.index(flight.name))
+        profiles = [suite.profile_of(plan, number, draw) for draw in range(suite.draws)]
         mine = select(flight.name, own)
-        lines += judge_flight(flight, mine, beside, other, without, bound_errors_of(profile))
+        lines += judge_flight(flight, mine, beside, other, without, pool_bounds(profiles))
         lines += judge_requirements(flight.name, own, mine, required)
     by_flight = [select(name, own) for name in names]
     lines.append(judge_causality(plan, suite, own, by_flight, result.timing["run_cpu_s"], audit))
@@ -297,7 +299,7 @@ def make_card(
         against=other,
         suite=f"{VERSION}, {'quick' if quick else 'full'}",
         suite_hash=hash_suite(plan),
-        draws=suite.runs,
+        draws=suite.draws,
         versions=dict(results.list_versions()),
         lines=tuple(lines),
         speed=measure_speed(cpu.get(own, ()), cpu.get(yardstick, ()), yardstick),
@@ -309,8 +311,8 @@ def make_card(
         commands={name: select(name, own)[0]["command"] for name in names},
         lost=tuple(
             LostDraw(
-                flight=names[row["condition"]],
-                draw=row["run"],
+                flight=names[suite.locate(row["condition"])[0]],
+                draw=suite.locate(row["condition"])[1],
                 reason=one_line(str(row.get("reason"))),
                 command=row["command"],
             )
@@ -372,7 +374,7 @@ def verify_card(
     """
     if not card.use:
         raise ConfigError("the card does not name its filter. Make it again with this version of bench")
-    suite = replace(QUICK if card.suite.endswith("quick") else FULL, seed=card.seed)
+    suite = replace(QUICK if card.suite.endswith("quick") else FULL, draw_seed=card.seed)
     guard = replace(guard, confined=True)
     named = None if card.estimator == make_choice(card.use).label else card.estimator
     plan, (own, *_) = plan_card(suite, card.use, YARDSTICK, guard, named, card.options)
@@ -385,13 +387,14 @@ def verify_card(
         found.append(f"{card.use} is not the program that the card names: {card.program}")
     by_name = {(line.topic, line.flight): line for line in card.lines if line.word != COUNT}
     for row in run_campaign(again, jobs=jobs, progress=progress).runs.to_pylist():
-        flight = suite.members[row["condition"]].name
+        number, draw = suite.locate(row["condition"])
+        flight = suite.members[number].name
         for topic, value in list_values(row).items() if row["estimator"] == own else ():
             line = by_name.get((topic, flight))
-            said = line.by_draw[row["run"]] if line and row["run"] < len(line.by_draw) else None
+            said = line.by_draw[draw] if line and draw < len(line.by_draw) else None
             if line and not is_same_value(said, value):
                 shown = " and ".join(write_figure(one) for one in (said, value))
-                found.append(f"{flight}, run {row['run']}: {line.figure}: card and repetition {shown}")
+                found.append(f"{flight}, run {draw}: {line.figure}: card and repetition {shown}")
     return found
 
 

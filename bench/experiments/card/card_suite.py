@@ -4,24 +4,27 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import cache
 from typing import Any
 
 import numpy as np
 
+from bench.core.records.specs import Profile
 from bench.experiments.campaigns.campaign_file import CampaignSpec, Values
 from bench.experiments.campaigns.plan import Plan
 from bench.io import results
 from bench.io.config import read_profile
 
 _EVENTS = ("fault", "gnss_outage")
+_TO = "to_heading_deg"
 
-VERSION = 3
+VERSION = 4
 """Version of the suite; it changes with any flight, sensor, fault or number of runs in it."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SuiteFlight:
     """A shipped profile with some values replaced."""
 
@@ -33,15 +36,62 @@ class SuiteFlight:
 
 @dataclass(frozen=True)
 class Suite(CampaignSpec):
-    """Flights of a card."""
+    """Flights of a card; each run of a flight is a condition of its own, with its own truth and noise."""
 
     members: tuple[SuiteFlight, ...] = ()
+    draws: int = 8  # runs of each flight
+    draw_seed: int | None = None  # of all of them
+    runs: int = 1  # of a condition
 
     def conditions(self) -> Iterator[tuple[str, Values]]:
-        """Yield profile and values of each flight in order; a seed moves the times of faults and outages."""
+        """Yield profile and values of each run of each flight, in order."""
         for one in self.members:
-            moved = {} if self.seed is None else move_events(one, self.seed)
-            yield one.profile, {**one.values, **moved}
+            for draw in range(self.draws):
+                yield one.profile, vary_flight(one, draw, self.draw_seed)
+
+    def locate(self, condition: int) -> tuple[int, int]:
+        """Return the number of the flight and of its run."""
+        return divmod(condition, self.draws)
+
+    def profile_of(self, plan: Plan, flight: int, draw: int) -> Profile:
+        """Return the profile of a run of a flight, both by number."""
+        return plan.cells[flight * self.draws + draw].profile
+
+
+_LATITUDE, _LONGITUDE = 55.0, 180.0  # where the flights start, to both sides [deg]
+_WIND = 5.0  # largest [m/s]
+
+
+def vary_flight(flight: SuiteFlight, draw: int, seed: int | None = None) -> Values:
+    """Return the values of a run of a flight: its own place, heading, wind and noise.
+
+    A filter that remembers the truth of a run so knows nothing of the next. Legs that turn to a heading turn
+    with the start. A seed draws others, and moves the times of faults and outages.
+    """
+    values = {**flight.values, **({} if seed is None else move_events(flight, seed))}
+    document = _read_flight(flight)
+    start, wind = document["start"], document.get("wind", {})
+    rng = np.random.default_rng([0 if seed is None else 1 + seed, draw, *flight.name.encode()])
+    latitude, longitude, heading, blows, speed = (
+        rng.uniform([-_LATITUDE, -_LONGITUDE, 0.0, 0.0, 0.0], [_LATITUDE, _LONGITUDE, 360.0, 360.0, _WIND])
+        .round(1)
+        .tolist()
+    )
+    values |= {"start.lat_deg": latitude, "start.lon_deg": longitude, "start.heading_deg": heading % 360.0}
+    if not start.get("on_ground") and not wind.get("layers"):
+        values |= {"wind.from_deg": blows % 360.0, "wind.speed_mps": speed}
+    legs = document.get("leg", ())
+    if any(_TO in leg for leg in legs):
+        turned = heading - start["heading_deg"]
+        values["leg"] = [
+            {**leg, _TO: round((leg[_TO] + turned) % 360.0, 1) % 360.0} if _TO in leg else leg for leg in legs
+        ]
+    return {**values, "seed": int(rng.integers(10**9))}
+
+
+@cache
+def _read_flight(flight: SuiteFlight) -> Mapping[str, Any]:
+    return read_profile(flight.profile, flight.values, estimators=["free-inertial"]).document
 
 
 _FARTHEST = 20.0  # that a fault is moved [s]
@@ -113,8 +163,8 @@ _FULL = (
     SuiteFlight("high-dynamics", "high-dynamics"),
     SuiteFlight("turbulent-loiter", "turbulent-loiter"),
 )
-QUICK = Suite("card-quick", (), runs=8, members=_QUICK)
-FULL = Suite("card", (), runs=40, members=_FULL)
+QUICK = Suite("card-quick", (), draws=8, members=_QUICK)
+FULL = Suite("card", (), draws=40, members=_FULL)
 
 
 def hash_suite(plan: Plan) -> str:

@@ -7,7 +7,6 @@ answer.
 
 from __future__ import annotations
 
-import contextlib
 import gzip
 import hashlib
 import math
@@ -78,25 +77,6 @@ def write_sensors(root: Path, sensors: SensorData, initial: InitialState) -> Pat
             durable.write(path.with_name(f"{path.name}.gz"), packed)
             path.unlink()
     return folder
-
-
-def share_equal_files(root: Path) -> None:
-    """Link equal files below a folder to one file on the disk; flights with other faults share much data."""
-    first: dict[bytes, Path] = {}
-    for path in sorted(path for path in root.rglob("*") if path.is_file()):
-        with path.open("rb") as file:
-            digest = hashlib.file_digest(file, "sha256").digest()
-        before = first.setdefault(digest, path)
-        if before is not path:
-            with contextlib.suppress(OSError):  # a file system without links keeps two
-                durable.rename(_link(before), path)
-
-
-def _link(path: Path) -> Path:
-    """Return another name of a file, beside it."""
-    other = path.with_name(f"{path.name}.link")
-    other.hardlink_to(path)
-    return other
 
 
 def round_increments(imu: ImuData) -> ImuData:
