@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scipy.stats
+from markupsafe import escape
 
 import bench
 from bench.cli.command_line import main
@@ -404,6 +405,10 @@ def test_the_page_of_a_card_says_the_same_and_executes_nothing(made, tmp_path):
     found = bench.read_card(made / "a.json")
     page = (made / "a.html").read_text()
     assert found.suite_hash in page
+    assert found.uncertainty["runs"] == f"{DRAWS} of each of 3 flights"
+    assert found.uncertainty["versions"] == found.versions
+    for method in found.uncertainty["methods"].values():
+        assert str(escape(method)) in page
     assert re.search(r"<span>written \d{4}-\d\d-\d\d \d\d:\d\d</span>", page)
     for line in found.lines:
         assert line.sentence.removeprefix(f"{line.flight}: ") in page

@@ -19,6 +19,7 @@ from bench.evaluation.ensembles import ensemble, regression
 from bench.evaluation.ensembles.ensemble import Comparison, Estimate
 from bench.evaluation.ensembles.ensemble_consistency import LEAST_RUNS, Consistency, check_consistency
 from bench.evaluation.ensembles.rare_runs import measure_scatter
+from bench.evaluation.ensembles.statement import state_uncertainty
 from bench.evaluation.metrics.metric_words import find_words
 from bench.evaluation.requirements.required_metrics import Finding, judge_runs, list_requirements
 from bench.experiments.campaigns.groups import Group
@@ -275,6 +276,13 @@ class Campaign:
     def fewest(self) -> int:
         """Return the fewest runs behind an interval."""
         return min((one.converged_runs for one in self.outcomes), default=0)
+
+    @property
+    def uncertainty(self) -> dict[str, Any]:
+        """Return the uncertainty statement of the figures."""
+        seeds = dict.fromkeys(str(one["as_flown"].get("seed")) for one in self.conditions)
+        runs = f"{self.finished} of {self.planned} planned, {len(self.conditions)} conditions"
+        return state_uncertainty(runs, ", ".join(seeds), self.provenance)
 
     @property
     def requirements(self) -> tuple[Finding, ...]:

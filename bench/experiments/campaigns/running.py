@@ -392,5 +392,6 @@ def describe(campaign: Campaign) -> dict[str, Any]:
         "conditions": campaign.conditions,
         "estimator_cpu_s": campaign.estimator_cpu_s,
         "timing": campaign.timing,
+        "uncertainty": campaign.uncertainty,
         **campaign.provenance,
     }

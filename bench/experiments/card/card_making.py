@@ -19,6 +19,7 @@ from bench.core.words.notebook import draw, make_frame, write_sentences, write_t
 from bench.core.words.renames import FORMAT, check_format
 from bench.core.words.stages import Progress
 from bench.core.words.wording import one_line
+from bench.evaluation.ensembles.statement import state_uncertainty
 from bench.evaluation.requirements.required_metrics import Finding
 from bench.evaluation.requirements.share_test import MET
 from bench.experiments.campaigns.plan import Plan, hash_estimator, plan_campaign
@@ -79,6 +80,7 @@ class Card(Table):
     options: dict[str, Any] = Field(default_factory=dict)  # of the filter
     program: str = ""  # hash of the source, or of the program, and of its options
     answers: str = ""  # hash of all that it answered, every bit
+    uncertainty: dict[str, Any] = Field(default_factory=dict)  # how the intervals follow, and from what
     commands: dict[str, str] = Field(default_factory=dict)  # by flight: what repeats its first run
     lost: Annotated[tuple[LostDraw, ...], ROWS] = ()  # runs that did not converge
 
@@ -308,6 +310,11 @@ def make_card(
         seed=seed,
         program=hash_estimator(plan, own),
         answers=hash_all_answers(judged),
+        uncertainty=state_uncertainty(
+            f"{suite.draws} of each of {len(names)} flights",
+            "of the suite" if seed is None else str(seed),
+            result.provenance,
+        ),
         commands={name: select(name, own)[0]["command"] for name in names},
         lost=tuple(
             LostDraw(

@@ -97,7 +97,7 @@ def make_page(name: str, campaign: Campaign, comparisons: Sequence[Mapping[str, 
         required=trace(campaign.requirements),
         lost=make_table("lost", "", ("estimator", "reason", "command"), lost[:_MOST_LOST]),
         lost_count=len(lost),
-        provenance=list(page.list_provenance(campaign.provenance)),
+        provenance=list(page.list_provenance({**campaign.provenance, **campaign.uncertainty})),
         document=results.to_json([dict(one) for one in campaign.conditions]),
     )
 

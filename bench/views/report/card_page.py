@@ -72,6 +72,7 @@ def write_card(path: Path, card: Card) -> None:
         interactive=False,
         title=f"Card of {card.estimator}",
         card=card,
+        origin=list(page.list_provenance(card.uncertainty or {"versions": card.versions})),
         suite=describe_suite(card),
         written=page.write_minute(datetime.now()),
         rare=qualify(card.draws),
