@@ -8,6 +8,7 @@ everything that arrives after a time are replaced. The answers until then must n
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from dataclasses import fields, replace
 from typing import Any
 
@@ -36,11 +37,7 @@ def measure_look_ahead(
 
     ``run`` returns the solution of a new instance for a record: ``first`` for ``sensors``. After ``instants``
     [s], each moved to the IMU sample before, data are from ``others``; the first that shows it counts.
-
-    Raises
-    ------
-    ValueError
-        If the records are not of the same epochs, or it gives no answer.
+    ValueError if the records are not of the same epochs, or it gives no answer.
     """
     if not (np.isfinite(first.lla).any() or np.isfinite(first.q_nb).any()):
         raise ValueError("it gives no answer")
@@ -60,8 +57,9 @@ def measure_look_ahead(
         for _ in range(0 if whole else _HALVINGS):
             middle = 0.5 * (low + high)
             low, high = (low, middle) if find(middle, changed) is None else (middle, high)
-        seconds = max(low - changed, interval)
-        return seconds, "the whole record" if whole else f"{seconds:.3g} s"
+        seconds, same = max(low - changed, interval), run(change_later(sensors, others[-1:], end))
+        times = "" if find_change(first, same, end) is not None else ", by the times of later data alone"
+        return seconds, ("the whole record" if whole else f"{seconds:.3g} s") + times
     return 0.0, "no"
 
 
@@ -127,8 +125,8 @@ def find_late(filter_: PieceFilter, sensors: SensorData, whole: NavSolution, end
     """Feed a filter piece by piece; return the times of answers and events that are others, or late [s].
 
     A piece ends at each epoch of ``ends`` (M,): the answer there is taken before anything later comes. Epochs
-    in a gap of the IMU belong to the piece after it. Epochs before the first answer of ``whole``, the solution
-    of the whole record, are left out. EstimatorError if the filter cannot run in pieces from this start.
+    in a gap of the IMU belong to the piece after it; those before the first answer of ``whole``, the solution
+    for the record, are left out. EstimatorError if the filter cannot run in pieces from this start.
     """
     output_t, imu_t = sensors.output_t, sensors.imu.t
     counts = np.searchsorted(imu_t, output_t - SAME_INSTANT)
@@ -136,27 +134,21 @@ def find_late(filter_: PieceFilter, sensors: SensorData, whole: NavSolution, end
     ends[-1] = True
     begun = np.isfinite(np.column_stack([whole.lla, whole.vel_n, whole.q_nb])).any(axis=1).cumsum() > 0
     told, late = dict[tuple[float, str, str], float](), set[float]()
-    reached, count = -np.inf, 0
+    reached, count, none = -np.inf, 0, nothing_known(np.empty(0))
     for k in np.flatnonzero(ends).tolist():
         t, end = float(output_t[k]), int(counts[k]) + 1
-        parts = (filter_.advance(cut_piece(sensors, slice(count, end), reached, t)), _answer_now(filter_))
+        final, now = filter_.advance(cut_piece(sensors, slice(count, end), reached, t)), none
         reached, count = t, end
-        for part in parts:
+        with suppress(EstimatorError):  # while the start is not known
+            now = filter_.copy().finish()
+        for part in (final, now):
             rows = np.minimum(np.searchsorted(output_t, part.t), len(output_t) - 1)
             late.update(output_t[rows[list_differing(whole, rows, part, slice(None)) & begun[rows]]].tolist())
             for key in _tell_events(part):
                 told.setdefault(key, t)
-        if begun[k] and not any(t in part.t for part in parts):
+        if begun[k] and not (t in final.t or t in now.t):
             late.add(t)
     for key, due in _tell_events(whole).items():
         if told.get(key, np.inf) > next((t for t in output_t[ends] if t >= due - SAME_INSTANT), np.inf):
             late.add(due)
     return sorted(late)
-
-
-def _answer_now(filter_: PieceFilter) -> NavSolution:
-    """Return the answers that are left, as if the record ended here; none while the start is not known."""
-    try:
-        return filter_.copy().finish()
-    except EstimatorError:
-        return nothing_known(np.empty(0))

@@ -206,7 +206,7 @@ class SmoothsOnTime:
     """Consistent where fixes come late, and smooths elsewhere."""
 
     def run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
-        late = np.median(sensors.fixes.t_arrival - sensors.fixes.t) > 0.3
+        late = sensors.fixes.t_arrival[0] - sensors.fixes.t[0] > 0.3
         return load("loose-15" if late else "smoother", {}).run(sensors, initial)
 
 

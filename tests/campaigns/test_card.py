@@ -146,7 +146,16 @@ def test_an_estimator_without_attitude_has_no_line_of_heading():
 def test_equal_inputs_give_equal_lines_and_another_suite_another_hash(made, monkeypatch):
     first, again, other = (bench.read_card(made / name) for name in ("a.json", "again.json", "b.json"))
     assert first.speed.value > 0.0
-    assert again.model_copy(update={"speed": None}) == first.model_copy(update={"speed": None})
+
+    def without_measured(card: card_making.Card) -> card_making.Card:
+        """The audit of causality is drawn anew for each card."""
+        lines = [
+            line.model_copy(update={"sentence": ""} if line.topic == "causality" else {})
+            for line in card.lines
+        ]
+        return card.model_copy(update={"speed": None, "lines": tuple(lines)})
+
+    assert without_measured(again) == without_measured(first)
     assert other.suite_hash == first.suite_hash
     assert not any("times that of" in text for text in other.sentences)
     moved = make_suite(FAULT.replace("400.0", "401.0")).members[:1]

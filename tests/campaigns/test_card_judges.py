@@ -23,12 +23,10 @@ from bench.experiments.card.card_comparison import compare_cards, name_cards
 from bench.experiments.card.card_lines import SAME, SHARE, Line, write_figure
 from bench.experiments.card.card_suite import FULL, LATE, QUICK, VERSION, Suite, SuiteFlight, move_events
 from bench.io.config import read_profile
-from bench.navigation.causality import LookAhead
 from tests.campaigns.test_campaign import PROFILE
 from tests.campaigns.test_card_lines import RARE, make_card, make_line
 
-NO, SOME = LookAhead(0.0, whole=False, repeatable=True), LookAhead(0.4, whole=False, repeatable=True)
-MORE, DICE = LookAhead(2.0, whole=True, repeatable=True), LookAhead(0.0, whole=False, repeatable=False)
+NO, SOME, MORE = (0.0, "no"), (0.4, "0.4 s"), (2.0, "the whole record")
 
 
 def make_plan(count: int, choice: EstimatorChoice, **profile: Any) -> tuple[Any, Suite]:
@@ -48,91 +46,50 @@ def make_plan(count: int, choice: EstimatorChoice, **profile: Any) -> tuple[Any,
 @pytest.mark.parametrize(
     ("count", "found", "told", "value", "word"),
     [
-        (1, {0: NO}, "zero: uses the future: no", 0.0, ""),
-        (4, {0: NO, 1: NO, 2: NO, 3: NO}, None, 0.0, ""),
-        (4, {0: MORE, 1: SOME, 2: MORE, 3: MORE}, "the whole record, on ", 2.0, ""),
-        (4, {0: SOME, 1: MORE, 2: SOME, 3: SOME}, f"{LATE}: uses the future: the whole record", 2.0, ""),
-        (
-            4,
-            {0: MORE, 1: DICE, 2: MORE, 3: MORE},
-            f"{LATE}: not repeatable: two runs of one",
-            None,
-            "not proven",
-        ),
-        (1, {0: "bad"}, "zero: uses the future: not proven, bad", None, "not proven"),
+        (1, {0: NO}, "zero: uses the future: no; fed in pieces in 1 runs; a look-ahead in 1 of 10", 0.0, ""),
+        (4, dict.fromkeys(range(4), NO), "runs is found with 34 %; audit 11, 0 times", 0.0, ""),
+        (4, {0: NO, 1: NO, 2: MORE, 3: SOME}, f"{LATE}: uses the future: the whole record, on two.", 2.0, ""),
+        (4, {1: SOME}, f"{LATE}: uses the future: 0.4 s.", 0.4, ""),
+        (4, {0: "bad", 1: NO}, "future: not proven, bad, on zero.", None, "not proven"),
         (2, {1: NO, 0: "y" * 300}, f"not proven, {'y' * 200}, on zero.", None, "not proven"),
     ],
 )
-def test_the_worst_of_the_flights_that_are_drawn_is_told(monkeypatch, count, found, told, value, word):
+def test_each_flight_is_examined_until_one_shows_a_look_ahead(monkeypatch, count, found, told, value, word):
     asked = []
 
-    def measure(profile: Any, choice: Any, own: Any, instants: int, rng: Any) -> LookAhead:
-        asked.append((profile.number, instants))
-        if isinstance(found[profile.number], str):
-            raise EstimatorFailedError(found[profile.number])
-        return found[profile.number]
+    def examine(self: Any, plan: Any, flight: int, own: Any) -> tuple[float, str]:
+        asked.append(flight)
+        self.fed += 1
+        if isinstance(found[flight], str):
+            raise EstimatorFailedError(found[flight])
+        return found[flight]
 
-    monkeypatch.setattr(card_causality, "measure", measure)
-    plan, suite = make_plan(count, EstimatorChoice("own:X", "x"))
-    line = judge_causality(plan, suite, "x", [[{"answers": "a"}]] * count)
+    monkeypatch.setattr(card_causality._Audit, "examine", examine)
+    plan, suite = make_plan(count, EstimatorChoice("loose-15", "x"))
+    line = judge_causality(plan, suite, "x", [[{"answers": "a"}]] * count, 3.0, 11)
     late = 1 if count > 1 else 0
-    assert asked[0] == (late, 3)
-    if found[late] is not DICE and count > 2:
-        others = [number for number, _ in asked[1:]]
-        assert [instants for _, instants in asked[1:]] == [2, 2]
-        assert len({late, *others}) == 3
-        names = [suite.members[k].name for k in others]
-        told = told or f"{LATE}: uses the future: no, neither here nor on {' and '.join(names)}."
-    elif found[late] is DICE:
-        assert len(asked) == 1
+    assert asked == [late, *(k for k in range(count) if k != late)][: len(asked)]
+    assert len(asked) == count or found[asked[-1]] != NO
     assert told in line.sentence
     assert (line.flight, line.value, line.low, line.word) == (suite.members[late].name, value, value, word)
 
 
-def test_which_flights_prove_causality_follows_from_all_answers(monkeypatch):
-    asked: list[int] = []
-    monkeypatch.setattr(card_causality, "measure", lambda profile, *_: asked.append(profile.number) or NO)
-    plan, suite = make_plan(4, EstimatorChoice("own:X", "x"))
-    drawn = set()
-    for k in range(12):
-        asked.clear()
-        judge_causality(plan, suite, "x", [[{"answers": "a"}]] * 3 + [[{"answers": str(k)}]])
-        drawn.add(tuple(asked))
-    assert len(drawn) > 3
+def test_runs_and_times_follow_from_the_number_and_from_all_answers(monkeypatch):
+    """Nobody knows the number before the answers are given, and with it the audit can be repeated."""
+    drawn: list[int] = []
+
+    def examine(self: Any, *_: Any) -> tuple[float, str]:
+        drawn.append(int(self.rng.integers(1 << 40)))
+        return NO
+
+    monkeypatch.setattr(card_causality._Audit, "examine", examine)
+    plan, suite = make_plan(1, EstimatorChoice("loose-15", "x"))
+    for answers, number in (("a", 1), ("a", 1), ("b", 1), ("a", 2), ("a", None), ("a", None)):
+        judge_causality(plan, suite, "x", [[{"answers": answers}]], 3.0, number)
+    assert drawn[0] == drawn[1]
+    assert len(set(drawn)) == 5
     digest = hashlib.sha256(b"a None").hexdigest()
     assert hash_all_answers([{"answers": "a"}, {}]) == digest[:16]
-
-
-def test_the_future_is_changed_a_sample_before_fixes_of_a_run_that_converged(monkeypatch):
-    """Not of the first fifth, in which a filter may not have begun."""
-    t = np.arange(0.0, 50.0, 0.5)
-    fixes = SimpleNamespace(t_arrival=1.0 + np.arange(40.0))
-    sensed, seen = [], []
-
-    def sense(profile: Any, truth: Any, run: int) -> Any:
-        sensed.append(run)
-        return SimpleNamespace(data=SimpleNamespace(fixes=fixes, imu=SimpleNamespace(t=t)), initial=run)
-
-    fake = SimpleNamespace(
-        fly=lambda _: None, sense=sense, navigate=lambda choice, data, initial: choice.label
-    )
-    monkeypatch.setattr(card_causality, "pipeline", fake)
-    monkeypatch.setattr(card_causality, "hash_answers", lambda solution: solution)
-    monkeypatch.setattr(
-        card_causality, "measure_look_ahead",
-        lambda run, one, other, instants, first: seen.extend(instants) or (run(one) and SOME),
-    )  # fmt: skip
-    choice, rng = EstimatorChoice("own:X", "x"), np.random.default_rng(1)
-    own = [{"converged": k == 2, "answers": "x 1"} for k in range(4)]
-    for _ in range(100):
-        assert card_causality.measure(None, choice, own, 3, rng) is SOME
-    assert sensed == [2, 4] * 100
-    assert set(seen) == set(fixes.t_arrival[8:] - 0.5)
-    assert all(np.diff(np.reshape(seen, (100, 3))).ravel() > 0.0)
-    lost = [{"converged": False, "answers": "other"}] * 4
-    for _ in range(20):
-        assert card_causality.measure(None, choice, lost, 3, rng) == DICE
-    assert {0, 1, 2, 3, 4} == set(sensed)
 
 
 # --- conventions ------------------------------------------------------------------------------------------

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -48,10 +47,10 @@ MOODY = ("UsesTheClock", "ThrowsADie", "ClaimsByADie")
 
 
 @pytest.fixture(autouse=True)
-def place(tmp_path, monkeypatch) -> Iterator[Path]:
+def place(tmp_path, monkeypatch) -> Path:
     (tmp_path / "short.toml").write_text(PROFILE + EVENTS)
     monkeypatch.chdir(tmp_path)
-    yield tmp_path
+    return tmp_path
 
 
 def audit(use: str, runs: int = 1, number: int = 7, options: dict | None = None) -> Line:
@@ -77,6 +76,7 @@ def own(name: str) -> str:
 def test_who_looks_ahead_in_one_place_is_found(name):
     line = audit(own(name))
     assert line.word == UNPROVEN or line.value > 0.0, line.sentence
+    assert ("by the times of later data alone" in line.sentence) == (name == "KnowsWhenFixesReturn")
 
 
 @pytest.mark.parametrize("name", MOODY)

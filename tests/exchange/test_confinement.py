@@ -2,15 +2,25 @@
 
 from __future__ import annotations
 
+import ctypes
+import os
+import tempfile
 from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from bench import pipeline
 from bench.core.records.specs import EstimatorChoice, Guard
+from bench.core.words.exceptions import EstimatorFailedError
+from bench.io.config import read_profile
+from bench.io.foreign import confinement
+from bench.navigation.built_in import load
 from bench.simulation import sensors
+from tests.builders import assert_same_solution
 from tests.synthetic import turning
 
 OWN = """
@@ -50,8 +60,12 @@ class Keeps(Reads):
 """
 
 
+def confinement_version() -> int:
+    return ctypes.CDLL(None).syscall(444, None, 0, 1)
+
+
 @pytest.fixture
-def place(tmp_path, monkeypatch) -> Iterator[Path]:
+def place(tmp_path, monkeypatch) -> Path:
     """A folder to stand in, with a filter, its helpers and its table, and results of others."""
     (tmp_path / "mine.py").write_text(OWN)
     (tmp_path / "helper.py").write_text("ONE = 1.0\n")
@@ -64,14 +78,79 @@ def place(tmp_path, monkeypatch) -> Iterator[Path]:
         (tmp_path / name / "kept.txt").write_text("the truth")
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(str(tmp_path))
-    yield tmp_path
+    return tmp_path
 
 
 @pytest.fixture(scope="module")
 def sensed():
-    return sensors.sense(turning(), turning_units(), 1, 0)
+    return sensors.sense(turning(20.0, 100.0), read_profile("figure-eight").sensors, 4, 0)
 
 
-def build(name: str, **options):
+@contextmanager
+def confined(name: str, **options) -> Iterator[Any]:
     guard = Guard(timeout=120.0, confined=True)
-    return pipeline.build_estimator(EstimatorChoice(f"mine:{name}", name, options, guard=guard))
+    one = pipeline.build_estimator(EstimatorChoice(f"mine:{name}", name, options, guard=guard))
+    try:
+        yield one
+    finally:
+        one.close()
+
+
+@pytest.mark.parametrize("name", ["Reads", "Keeps"])
+def test_an_ordinary_filter_runs_as_without(place, sensed, name):
+    """With kernels, a module that it imports late, a table beside it, a program, and temporary files."""
+    with confined(name) as one:
+        assert one.confined == (confinement_version() > 0)
+        found = one.run(sensed.data, sensed.initial)
+    home = Path(tempfile.gettempdir())
+    assert not (home / "seen").exists()
+    assert_same_solution(found, load("loose-15", {}).run(sensed.data, sensed.initial))
+
+
+@pytest.mark.parametrize(
+    ("name", "path"),
+    [
+        ("Reads", "{place}/runs/kept.txt"),
+        ("Reads", "{place}/cards/kept.txt"),
+        ("Reads", "{place}/other.toml"),
+        ("Reads", "{cache}/truth/kept.npy"),
+        ("Reads", "/proc/{parent}/maps"),
+        ("Reads", "/proc/{parent}/cmdline"),
+        ("Reads", "/proc/self/environ"),
+        ("Lists", "{place}"),
+        ("Lists", "{place}/cards"),
+        ("Lists", "/tmp"),
+        ("Writes", "{place}/seen.txt"),
+        ("Writes", "{place}/mine.py"),
+    ],
+)
+def test_what_is_not_its_own_stays_closed(place, sensed, monkeypatch, name, path):
+    if not confinement_version():
+        pytest.skip("this system has no Landlock")
+    monkeypatch.setenv("BENCH_CACHE", str(place / "cache"))
+    (place / "cache" / "truth").mkdir(parents=True)
+    (place / "cache" / "truth" / "kept.npy").write_text("the truth")
+    (place / "other.toml").write_text("seed = 5")
+    path = path.format(place=place, cache=place / "cache", parent=os.getpid())
+    with confined(name, path=path) as one, pytest.raises(EstimatorFailedError) as caught:
+        one.run(sensed.data, sensed.initial)
+    assert f"PermissionError: [Errno 13] Permission denied: '{path}'" in str(caught.value)
+    assert "on a card a filter may open only its own files" in str(caught.value)
+    with suppress(FileNotFoundError):
+        assert (place / "mine.py").read_text() == OWN
+        assert not (place / "seen.txt").exists()
+
+
+def test_without_it_the_same_filter_reads_them(place, sensed):
+    choice = EstimatorChoice(
+        "mine:Reads", "free", {"path": f"{place}/runs/kept.txt"}, guard=Guard(timeout=120.0)
+    )
+    one = pipeline.build_estimator(choice)
+    assert not one.confined
+    one.run(sensed.data, sensed.initial)
+    one.close()
+
+
+def test_a_system_without_it_is_told(place, monkeypatch):
+    monkeypatch.setattr(confinement.sys, "platform", "darwin")
+    assert not confinement.confine("mine", place)

@@ -318,9 +318,7 @@ def pack_specs(specs: AssumedSpecs) -> NDArray[np.uint8]:
     return np.frombuffer(pickle.dumps(without_orbits(specs)), np.uint8)
 
 
-def _end(
-    child: subprocess.Popen[bytes], line: socket.socket, stream: Any, life: int, place: contextlib.ExitStack
-) -> None:
+def _end(child: subprocess.Popen[bytes], line: socket.socket, stream: Any, life: int, place: Any) -> None:
     """End a process, which may have ended already."""
     line.close()
     end_group(child, signal.SIGKILL)

@@ -182,8 +182,7 @@ class _FilterServer:
         """Build a filter, confined if there is a folder for that; return its number and optional methods."""
         self._go_home()
         if home and not self._confined:
-            module = find_class(use, built_in.BUILT_IN).partition(":")[0]
-            self._confined = confine(module, Path(home))
+            self._confined = confine(find_class(use, built_in.BUILT_IN).partition(":")[0], Path(home))
         given = pickle.loads(options.tobytes())
         try:
             one = built_in.load(use, given)
