@@ -148,6 +148,10 @@ def find_late(filter_: PieceFilter, sensors: SensorData, whole: NavSolution, end
                 told.setdefault(key, t)
         if begun[k] and not (t in final.t or t in now.t):
             late.add(t)
+    with suppress(EstimatorError):  # what arrives after the last answer
+        filter_.advance(cut_piece(sensors, slice(count, None), reached, np.inf))
+        for key in _tell_events(filter_.finish()):
+            told.setdefault(key, reached)
     for key, due in _tell_events(whole).items():
         if told.get(key, np.inf) > next((t for t in output_t[ends] if t >= due - SAME_INSTANT), np.inf):
             late.add(due)

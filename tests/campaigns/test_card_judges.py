@@ -29,14 +29,16 @@ from tests.campaigns.test_card_lines import RARE, make_card, make_line
 NO, SOME, MORE = (0.0, "no"), (0.4, "0.4 s"), (2.0, "the whole record")
 
 
-def make_plan(count: int, choice: EstimatorChoice, **profile: Any) -> tuple[Any, Suite]:
+def make_plan(count: int, choice: EstimatorChoice, draws: int = 1, **profile: Any) -> tuple[Any, Suite]:
     """A plan of flights 0, 1, ... with one filter, of which the second has late fixes."""
     cells = [
-        SimpleNamespace(condition=k, profile=SimpleNamespace(number=k, estimators=(choice,), **profile))
-        for k in range(count)
+        SimpleNamespace(
+            condition=k, profile=SimpleNamespace(number=k // draws, estimators=(choice,), **profile)
+        )
+        for k in range(count * draws)
     ]
     names = ["zero", LATE, "two", "three"][:count]
-    suite = Suite("s", (), draws=1, members=tuple(SuiteFlight(name, "p") for name in names))
+    suite = Suite("s", (), draws=draws, members=tuple(SuiteFlight(name, "p") for name in names))
     return SimpleNamespace(cells=cells), suite
 
 
@@ -57,7 +59,7 @@ def make_plan(count: int, choice: EstimatorChoice, **profile: Any) -> tuple[Any,
 def test_each_flight_is_examined_until_one_shows_a_look_ahead(monkeypatch, count, found, told, value, word):
     asked = []
 
-    def examine(self: Any, plan: Any, flight: int, own: Any) -> tuple[float, str]:
+    def examine(self: Any, plan: Any, suite: Any, flight: int, own: Any) -> tuple[float, str]:
         asked.append(flight)
         self.fed += 1
         if isinstance(found[flight], str):
@@ -97,11 +99,11 @@ def test_runs_and_times_follow_from_the_number_and_from_all_answers(monkeypatch)
 
 def test_a_convention_is_searched_in_three_broken_draws_of_a_flight_on_which_nothing_breaks(monkeypatch):
     flown, searched = [], []
-    sensed = lambda profile, truth, draw: SimpleNamespace(  # noqa: E731
-        data=SimpleNamespace(antenna_b=[profile.number]), initial=draw
+    sensed = lambda profile, truth: SimpleNamespace(  # noqa: E731
+        data=SimpleNamespace(antenna_b=[profile.number]), initial=truth
     )
     fake = SimpleNamespace(
-        fly=lambda profile: profile.number,
+        fly=lambda profile: next(k % 4 for k, cell in enumerate(plan.cells) if cell.profile is profile),
         sense=sensed,
         navigate=lambda choice, data, draw: flown.append(draw) or draw,
     )
@@ -111,21 +113,22 @@ def test_a_convention_is_searched_in_three_broken_draws_of_a_flight_on_which_not
     monkeypatch.setattr(card_conventions, "find_mistakes", lambda *given: searched.append(given) or answer)
     window = SimpleNamespace(begin=5.0)
     plan, suite = make_plan(
-        3, EstimatorChoice("own:X", "x"), evaluation=window, sensors=SimpleNamespace(faults=())
+        3, EstimatorChoice("own:X", "x"), 4, evaluation=window, sensors=SimpleNamespace(faults=())
     )
-    plan.cells[0].profile.sensors = SimpleNamespace(faults=("one",))
+    for cell in plan.cells[:4]:
+        cell.profile.sensors = SimpleNamespace(faults=("one",))
     good, bad, wide = {"verdict": "consistent"}, {"verdict": "overconfident"}, {"verdict": "diverged"}
-    own = [[bad] * 4, [good, bad, bad, good], [bad, good, wide, bad, bad]]
+    own = [[bad] * 4, [good, bad, bad, good], [bad, good, wide, bad]]
     (line,) = card_conventions.judge_conventions(plan, suite, "x", own)
     assert line.sentence == "two: looks like north, with the same constants in 3 runs."
     assert (line.flight, line.figure, flown) == ("two", "north and time", [0, 2, 3])
-    assert searched == [([2, 2, 2], [0, 2, 3], [2], 5.0)]
+    assert searched == [([0, 2, 3], [0, 2, 3], [2], 5.0)]
     (faulty,) = card_conventions.judge_conventions(plan, suite, "x", [[bad] * 2, [good, bad], [good] * 2])
     assert faulty.sentence == "zero: looks like north, with the same constants in 2 runs."
     assert card_conventions.judge_conventions(plan, suite, "x", [[good, bad]] * 3) == []
     answer.clear()
     assert card_conventions.judge_conventions(plan, suite, "x", own) == []
-    built_in, suite = make_plan(1, EstimatorChoice("loose-15", "x"), sensors=SimpleNamespace(faults=()))
+    built_in, suite = make_plan(1, EstimatorChoice("loose-15", "x"), 4, sensors=SimpleNamespace(faults=()))
     assert card_conventions.judge_conventions(built_in, suite, "x", [[bad] * 4]) == []
 
 
@@ -169,7 +172,7 @@ def test_what_breaks_moves_by_less_than_half_of_its_gaps_and_20_s(monkeypatch):
 def test_a_change_of_the_suite_changes_its_version():
     """Cards of one version compare: whoever changes a flight writes the next version, and its hash here."""
     text = json.dumps([[asdict(one) for one in FULL.members], FULL.draws, QUICK.draws, len(QUICK.members)])
-    assert (VERSION, hashlib.sha256(text.encode()).hexdigest()[:16]) == (4, "X")
+    assert (VERSION, hashlib.sha256(text.encode()).hexdigest()[:16]) == (4, "12dbbbdbc939c4ed")
 
 
 # --- the bound --------------------------------------------------------------------------------------------

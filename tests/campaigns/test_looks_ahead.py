@@ -11,7 +11,7 @@ from bench import pipeline
 from bench.core.records.specs import Guard
 from bench.experiments.campaigns.worker import hash_answers
 from bench.experiments.card import card_making
-from bench.experiments.card.card_causality import choose_instants, judge_causality, profile_of
+from bench.experiments.card.card_causality import choose_instants, judge_causality
 from bench.experiments.card.card_lines import UNPROVEN, Line
 from bench.experiments.card.card_suite import Suite, SuiteFlight
 from tests.campaigns.looks_ahead import ODD
@@ -55,14 +55,14 @@ def place(tmp_path, monkeypatch) -> Path:
 
 def audit(use: str, runs: int = 1, number: int = 7, options: dict | None = None) -> Line:
     """The line of a filter after runs of a flight of 20 s with an outage and a fault, all in this process."""
-    suite = Suite("card-quick", (), runs=runs, members=(SuiteFlight("short", "short.toml"),))
+    suite = Suite("card-quick", (), draws=runs, members=(SuiteFlight("short", "short.toml"),))
     guard = Guard(in_process=True)
     plan, (own, *_) = card_making.plan_card(suite, use, "loose-22", guard, None, options)
-    profile = profile_of(plan, 0, 0)
-    (choice,) = (one for one in profile.estimators if one.label == own)
+    (choice,) = (one for one in suite.profile_of(plan, 0, 0).estimators if one.label == own)
     rows = []
     for run in range(runs):
-        sensed = pipeline.sense(profile, pipeline.fly(profile), run)
+        profile = suite.profile_of(plan, 0, run)
+        sensed = pipeline.sense(profile, pipeline.fly(profile))
         found = pipeline.navigate(choice, sensed.data, sensed.initial)
         rows.append({"converged": True, "answers": hash_answers(found)})
     return judge_causality(plan, suite, own, [rows], 1.0, number)
@@ -103,9 +103,9 @@ def test_honest_filters_are_not_accused(use):
 
 
 def test_the_times_lie_in_the_parts_of_a_flight():
-    suite = Suite("card-quick", (), runs=1, members=(SuiteFlight("short", "short.toml"),))
+    suite = Suite("card-quick", (), draws=1, members=(SuiteFlight("short", "short.toml"),))
     plan, _ = card_making.plan_card(suite, "loose-15", "loose-22", Guard())
-    profile = profile_of(plan, 0, 0)
+    profile = suite.profile_of(plan, 0, 0)
     data = pipeline.sense(profile, pipeline.fly(profile), 0).data
     drawn = np.array(
         [choose_instants(data, [(8.0, 11.0), (13.0, 17.0)], np.random.default_rng(k)) for k in range(50)]
