@@ -52,7 +52,7 @@ _STATES = {**dict.fromkeys(TITLES, 3), **dict.fromkeys(AXIS_TITLES, 1)}
 
 
 @dataclass(frozen=True, slots=True)
-class Judgment:
+class RatioVerdict:
     """The verdict of `judge_ratios`."""
 
     word: Word
@@ -62,7 +62,7 @@ class Judgment:
     off: tuple[str, ...]  # the ratios that are not 1
 
 
-def judge_ratios(ratios: Mapping[str, FloatArray], inside: FloatArray | None = None) -> Judgment:
+def judge_ratios(ratios: Mapping[str, FloatArray], inside: FloatArray | None = None) -> RatioVerdict:
     """Evaluate from the scatter between runs whether NEES, its blocks and its axes are right within 25 %.
 
     A ratio above or below `TOLERATED` makes the filter over- or underconfident; Holm's method keeps the
@@ -118,7 +118,7 @@ def judge_ratios(ratios: Mapping[str, FloatArray], inside: FloatArray | None = N
     elif loose and loose != [WHOLE]:
         text = f"undecided in {_name_ratios(loose, found, set())}"
     needed = max(_count_deciding(found[key], runs) for key in loose) if word == "undecided" else None
-    return Judgment(word, text, found, needed, off)
+    return RatioVerdict(word, text, found, needed, off)
 
 
 def read_ratios(rows: Sequence[Mapping[str, Any]]) -> dict[str, FloatArray]:

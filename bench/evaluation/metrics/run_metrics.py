@@ -5,6 +5,7 @@ Its name ends in its unit. Each exists twice: ``x`` after the alignment window, 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache, partial
 from itertools import pairwise
@@ -445,7 +446,6 @@ def find_metric(name: str) -> Metric | None:
     name = name.removesuffix("_all")
     for metric in METRICS:
         head, gap, tail = metric.name.partition("{}")
-        longer = len(name) > len(head) + len(tail)
-        if name == metric.name or (gap and longer and name.startswith(head) and name.endswith(tail)):
+        if name == metric.name or (gap and re.fullmatch(f"{re.escape(head)}.+{re.escape(tail)}", name)):
             return metric
     return None
