@@ -5,7 +5,6 @@ Its name ends in its unit. Each exists twice: ``x`` after the alignment window, 
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache, partial
 from itertools import pairwise
@@ -446,6 +445,6 @@ def find_metric(name: str) -> Metric | None:
     name = name.removesuffix("_all")
     for metric in METRICS:
         head, gap, tail = metric.name.partition("{}")
-        if name == metric.name or (gap and re.fullmatch(f"{re.escape(head)}.+{re.escape(tail)}", name)):
+        if name == metric.name or (gap and name.startswith(head) and name.endswith(tail, len(head) + 1)):
             return metric
     return None
