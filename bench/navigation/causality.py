@@ -148,11 +148,8 @@ def find_late(filter_: PieceFilter, sensors: SensorData, whole: NavSolution, end
                 told.setdefault(key, t)
         if begun[k] and not (t in final.t or t in now.t):
             late.add(t)
-    with suppress(EstimatorError):  # what arrives after the last answer
-        filter_.advance(cut_piece(sensors, slice(count, None), reached, np.inf))
-        for key in _tell_events(filter_.finish()):
-            told.setdefault(key, reached)
-    for key, due in _tell_events(whole).items():
-        if told.get(key, np.inf) > next((t for t in output_t[ends] if t >= due - SAME_INSTANT), np.inf):
+    for key, due in _tell_events(whole).items():  # at the last epoch, of what arrives after it
+        stops = output_t[ends & (output_t >= due - SAME_INSTANT)]
+        if due < output_t[-1] and told.get(key, np.inf) > stops[0]:
             late.add(due)
     return sorted(late)

@@ -19,7 +19,7 @@ from bench.experiments.card import card_making
 from bench.experiments.card.card_suite import LATE, QUICK
 from tests.measured import stamp, write_measured
 
-_PLAIN = "s-turns-matched"
+_PLAIN, AHEAD = "s-turns-matched", "looks_ahead"
 
 
 @dataclass(frozen=True)
@@ -27,11 +27,12 @@ class Cheat:
     """What a filter does, and where its card shows it."""
 
     words: str
-    name: str  # in `tests.campaigns.cheats`, or a built-in filter
+    name: str  # in the file, or a built-in filter
     topics: tuple[str, ...] = ("convergence",)
     flight: str = _PLAIN
     options: Mapping[str, Any] = field(default_factory=dict)
     own_process: bool = False
+    file: str = "cheats"  # in `tests.campaigns`
 
 
 CHEATS = (
@@ -52,6 +53,11 @@ CHEATS = (
     Cheat("velocities east, north, up", "SpeaksEnu", ("conventions",)),
     Cheat("takes fixes before they arrive", "TakesFixesEarly", ("causality",), LATE),
     Cheat("`smoother`, unspoiled", "smoother", ("causality",), LATE),
+    Cheat("looks ahead in outages", "AheadInOutages", ("causality",), "figure-eight-matched", file=AHEAD),
+    Cheat("looks ahead at the start", "AheadAtTheStart", ("causality",), file=AHEAD),
+    Cheat("looks ahead for its biases", "AheadInBiases", ("causality",), file=AHEAD),
+    Cheat("a billionth of its velocity looks ahead", "LeaksALittle", ("causality",), file=AHEAD),
+    Cheat("reads the memory map of bench", "ReadsItsParent", own_process=True, file=AHEAD),
     Cheat("remembers the records of other runs", "Remembers", ("causality",), LATE, own_process=True),
     Cheat("answers otherwise in another process", "Throws", ("causality",), LATE, own_process=True),
     Cheat(
@@ -66,7 +72,7 @@ def make_rows() -> Iterator[tuple[str, str]]:
     """Yield who it is, and what the lines of the card say."""
     for one in CHEATS:
         members = tuple(replace(member, without="") for member in QUICK.members if member.name == one.flight)
-        use = f"tests.campaigns.cheats:{one.name}" if one.name[0].isupper() else one.name
+        use = f"tests.campaigns.{one.file}:{one.name}" if one.name[0].isupper() else one.name
         here = patch.object(running, "choose_pool", lambda *_: ExecutorPool(SerialExecutor(), 1))
         with here, patch.object(card_making, "QUICK", replace(QUICK, members=members)):
             found = bench.make_card(
