@@ -84,7 +84,7 @@ def make_rows() -> Iterator[tuple[str, str]]:
             )
         lines = {(line.topic, line.figure): line for line in found.lines}
         told = [
-            line.sentence.partition(": ")[2].rstrip(".")
+            line.sentence.partition(": ")[2].partition("; audit")[0].rstrip(".")
             for (topic, figure), line in lines.items()
             if topic in one.topics and not figure.startswith(("longest time", "largest error"))
         ]

@@ -50,10 +50,10 @@ def make_plan(count: int, choice: EstimatorChoice, draws: int = 1, **profile: An
     [
         (1, {0: NO}, "zero: uses the future: no; fed in pieces in 1 runs; a look-ahead in 1 of 10", 0.0, ""),
         (4, dict.fromkeys(range(4), NO), "runs is found with 34 %; audit 11, 0 times", 0.0, ""),
-        (4, {0: NO, 1: NO, 2: MORE, 3: SOME}, f"{LATE}: uses the future: the whole record, on two.", 2.0, ""),
-        (4, {1: SOME}, f"{LATE}: uses the future: 0.4 s.", 0.4, ""),
-        (4, {0: "bad", 1: NO}, "future: not proven, bad, on zero.", None, "not proven"),
-        (2, {1: NO, 0: "y" * 300}, f"not proven, {'y' * 200}, on zero.", None, "not proven"),
+        (4, {0: NO, 1: NO, 2: MORE, 3: SOME}, "the future: the whole record, on two; audit 11.", 2.0, ""),
+        (4, {1: SOME}, f"{LATE}: uses the future: 0.4 s; audit 11.", 0.4, ""),
+        (4, {0: "bad", 1: NO}, "future: not proven, bad, on zero; audit 11.", None, "not proven"),
+        (2, {1: NO, 0: "y" * 300}, f"not proven, {'y' * 200}, on zero; audit 11.", None, "not proven"),
     ],
 )
 def test_each_flight_is_examined_until_one_shows_a_look_ahead(monkeypatch, count, found, told, value, word):

@@ -61,7 +61,7 @@ def judge_causality(
     seed = int(hash_all_answers([row for rows in own for row in rows]), 16)
     audit, begun = _Audit(choice, np.random.default_rng([number, seed])), sum(os.times()[:4])
     for k in sorted(range(len(names)), key=lambda k: k != home):
-        place = f", on {names[k]}" if k != home else ""
+        place = f"{f', on {names[k]}' if k != home else ''}; audit {number}"
         try:
             seconds, text = audit.examine(plan, suite, k, own[k])
         except (ValueError, EstimatorError, EstimatorFailedError) as error:
