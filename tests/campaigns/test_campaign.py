@@ -222,7 +222,7 @@ def test_an_interrupted_verb_says_how_to_continue(here, monkeypatch, capsys):
 def test_the_summary_has_figures_and_sentences(here):
     found = json.loads((here / "two" / "campaign.json").read_text())
     assert found["finished"] == 4
-    assert found["uncertainty"]["runs"] == "4 of 4 planned, 2 conditions"
+    assert found["uncertainty"]["runs"] == "4 of 4 planned"
     assert found["uncertainty"]["versions"] == found["versions"]
     assert [one["label"] for one in found["outcomes"]] == ["loose-15", "loose-22"]
     rows = pq.read_table(here / "two" / RUNS).to_pylist()

@@ -281,7 +281,8 @@ class Campaign:
     def uncertainty(self) -> dict[str, Any]:
         """Return the uncertainty statement of the figures."""
         seeds = dict.fromkeys(str(one["as_flown"].get("seed")) for one in self.conditions)
-        runs = f"{self.finished} of {self.planned} planned, {len(self.conditions)} conditions"
+        several = f" in {len(self.conditions)} conditions" if len(self.conditions) > 1 else ""
+        runs = f"{self.finished} of {self.planned} planned{several}"
         return state_uncertainty(runs, ", ".join(seeds), self.provenance)
 
     @property
