@@ -56,7 +56,7 @@ def test_R_a_fifth_too_small_is_found_in_nees_and_in_every_sensor(profile, five_
     )
     result = claims(profile, five_minutes, small)
     text = " ".join(result.reasons)
-    assert "run averages" in text
+    assert "NEES over its expectation is not 1" in text
     for sensor in ("gnss_position", "gnss_velocity", "baro"):
         assert f"mean NIS of {sensor}" in text
 
