@@ -87,6 +87,7 @@ class ManyHeadings(SessionState):
     tables: Kept[list[Innovations]]  # since the last answer
     later: Kept[FloatArray]  # answers wanted after the last sample [s]
     members: Kept[list[InPieces]]
+    first_lost: Kept[float]  # first motion without a heading of any hypothesis; inf: none [s]
 
     def __init__(
         self, begin: Begin, first: SensorData, initial: InitialState, events: list[EventRow]
@@ -102,6 +103,7 @@ class ManyHeadings(SessionState):
         self.start, self.span = initial.t, FIRST
         self.best, self.complete = COUNT // 2, False  # the heading that was given, before the first answer
         self.apart, self.later = (np.inf, SD), np.empty(0)
+        self.first_lost = np.inf
         self.events, self.tables = [list(events) for _ in turns], [no_innovations() for _ in turns]
 
     @property
@@ -111,8 +113,13 @@ class ManyHeadings(SessionState):
 
     @property
     def heading_lost_at(self) -> float | None:
-        """Time of the first motion without a heading [s], or None (`piecewise.MayLoseHeading`)."""
-        return cast("MayLoseHeading", self.members[0 if self.complete else self.best]).heading_lost_at
+        """Time of the first motion without a heading [s], or None (`piecewise.MayLoseHeading`).
+
+        That of the first hypothesis: which is the best at the end of the data, later data tell.
+        """
+        lost = [cast("MayLoseHeading", one).heading_lost_at or np.inf for one in self.members]
+        first = min(self.first_lost, *lost)
+        return first if np.isfinite(first) else None
 
     @property
     def heading_vague(self) -> bool:
@@ -165,6 +172,7 @@ class ManyHeadings(SessionState):
             if spread < _APART * own:
                 text = f"settled by {until:.0f} s, sd {np.rad2deg(own):.2g} deg"
                 found.append(self._end(take_answers(solutions[self.best], slice(done, None)), until, text))
+                self.first_lost = self.heading_lost_at or np.inf
                 self.members = [self.members[self.best]]
                 self.complete = True
                 return found

@@ -86,8 +86,7 @@ class RefusedFixes(SessionState):
         rows = np.flatnonzero((table.code == code) & (table.component == 0))
         if not len(rows):
             return None
-        self._see_jumps(table, rows)
-        before = len(self._t)
+        jumps, before = self._list_jumps(table, rows), len(self._t)
         t = np.concatenate([self._t, table.t[rows]])
         apart = np.diff(t[before:], prepend=t[max(before - 1, 0)])
         stood = np.concatenate([self._stood, np.clip(apart, 0.0, self.window / _FEWEST)])
@@ -105,20 +104,28 @@ class RefusedFixes(SessionState):
             steps = np.floor((t - heading_lost_at + TIME_TOLERANCE) / (0.25 * self.window))
             due[before:] |= (np.diff(steps, prepend=-1.0)[before:] > 0) & (steps[before:] >= 0)
         for now, long in zip(t[due].tolist(), rejected[due].tolist(), strict=True):
+            while jumps and jumps[0] <= now:
+                self._next = jumps.pop(0) + _AFTER_JUMP * self.window
             if now < self._next:
                 continue
             if self._agree(now):
                 return now, long
             self._next = now + 0.25 * self.window
+        if jumps:
+            self._next = jumps[-1] + _AFTER_JUMP * self.window
         kept = t > t[-1] - self.window
         self._t, self._stood, self._refused = t[kept], stood[kept], refused[kept]
         if self._fixes is not None:
             self._fixes = self._fixes.take(self._fixes.t_arrival > t[-1] - self.window)
         return None
 
-    def _see_jumps(self, table: Innovations, rows: IntArray) -> None:
-        """Wait after each jump among the positions at ``rows`` of the innovations, with their velocities."""
+    def _list_jumps(self, table: Innovations, rows: IntArray) -> list[float]:
+        """Return the times of jumps among the positions at ``rows`` of the innovations and their velocities.
+
+        After a jump the next test waits.
+        """
         limit, size = nis_limit(3, _FALSE_ALARM), len(table)
+        found = []
         for k in rows.tolist():
             now, v = float(table.t[k]), k + 3
             paired = v + 2 < size and table.t[v] == now and table.sensor[table.code[v]] == SENSORS[VELOCITY]
@@ -126,8 +133,9 @@ class RefusedFixes(SessionState):
             if paired and not used and np.isfinite(self._used):
                 off, speed = math.hypot(*table.z[k : k + 3]), math.hypot(*table.z[v : v + 3])
                 if jumps_kernel(now - self._used, table.nis[k], table.nis[v], off, speed, limit):
-                    self._next = now + _AFTER_JUMP * self.window
+                    found.append(now)
             self._used = now if used else -np.inf
+        return found
 
     def last(self, t: float) -> GnssFixes:
         """Return the last fix that had arrived at a time [s]."""
