@@ -87,7 +87,7 @@ class ManyHeadings(SessionState):
     tables: Kept[list[Innovations]]  # since the last answer
     later: Kept[FloatArray]  # answers wanted after the last sample [s]
     members: Kept[list[InPieces]]
-    first_lost: Kept[float]  # first motion without a heading of any hypothesis; inf: none [s]
+    settled: Kept[float]  # when one hypothesis was chosen; -inf before it [s]
 
     def __init__(
         self, begin: Begin, first: SensorData, initial: InitialState, events: list[EventRow]
@@ -103,7 +103,7 @@ class ManyHeadings(SessionState):
         self.start, self.span = initial.t, FIRST
         self.best, self.complete = COUNT // 2, False  # the heading that was given, before the first answer
         self.apart, self.later = (np.inf, SD), np.empty(0)
-        self.first_lost = np.inf
+        self.settled = -np.inf
         self.events, self.tables = [list(events) for _ in turns], [no_innovations() for _ in turns]
 
     @property
@@ -115,11 +115,11 @@ class ManyHeadings(SessionState):
     def heading_lost_at(self) -> float | None:
         """Time of the first motion without a heading [s], or None (`piecewise.MayLoseHeading`).
 
-        That of the first hypothesis: which is the best at the end of the data, later data tell.
+        That of the last hypothesis: which one is the best at the end of the data, later data tell.
         """
         lost = [cast("MayLoseHeading", one).heading_lost_at or np.inf for one in self.members]
-        first = min(self.first_lost, *lost)
-        return first if np.isfinite(first) else None
+        last = max(self.settled, *lost)
+        return last if np.isfinite(last) else None
 
     @property
     def heading_vague(self) -> bool:
@@ -172,7 +172,7 @@ class ManyHeadings(SessionState):
             if spread < _APART * own:
                 text = f"settled by {until:.0f} s, sd {np.rad2deg(own):.2g} deg"
                 found.append(self._end(take_answers(solutions[self.best], slice(done, None)), until, text))
-                self.first_lost = self.heading_lost_at or np.inf
+                self.settled = until
                 self.members = [self.members[self.best]]
                 self.complete = True
                 return found
