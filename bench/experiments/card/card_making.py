@@ -237,7 +237,7 @@ def make_card(
     guard : Guard, optional
         Limits for programs and classes.
     seed : int, optional
-        Of the places, headings, winds and noises of all runs. Default: those of the suite.
+        Draws other places, headings, winds and noises of all runs. Default: the suite's own.
     requirements : Path, optional
         File of ``[[requirement]]`` rows (`bench.experiments.card.card_requirements`).
     audit : int, optional
