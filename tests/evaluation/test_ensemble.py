@@ -13,7 +13,6 @@ from scipy.stats import beta, binom, chi2, norm
 from scipy.stats import t as student
 
 from bench.core.records.data import Innovations
-from bench.evaluation.consistency.chi_square import SensorNis
 from bench.evaluation.ensembles import ensemble
 
 CASES = 1000
@@ -99,25 +98,6 @@ def test_growth_of_a_random_walk_of_velocity_is_its_closed_form():
 
 
 # --- consistency -----------------------------------------------------------------------------------------
-
-
-def test_anees_lies_in_its_band_as_often_as_it_says():
-    nees = np.random.default_rng(7).chisquare(9, (50, 2000))
-    course = ensemble.average_nees(np.arange(2000.0), nees, 9)
-    outside = np.sum((course.mean < course.low) | (course.mean > course.high))
-    assert binom.ppf(0.0005, 2000, 0.05) <= outside <= binom.ppf(0.9995, 2000, 0.05)
-    assert course.low[0] == pytest.approx(chi2.ppf(0.025, 450) / 50)
-
-
-def test_nis_is_averaged_over_runs_between_the_edges():
-    def series(shift):
-        t = np.arange(10.0)
-        return SensorNis(t, t + shift, np.full(10, 3), np.ones(10, bool))
-
-    course = ensemble.average_nis([series(0.0), series(1.0)], np.array([0.0, 5.0, 10.0, 15.0]))
-    np.testing.assert_allclose(course.mean, [2.5, 7.5, np.nan])
-    np.testing.assert_allclose(course.t, [2.5, 7.5, 12.5])
-    np.testing.assert_allclose(course.high[:2], chi2.ppf(0.9995, 30) / 10)
 
 
 def test_coverage_holds_the_truth_with_errors_that_last_the_run():

@@ -10,6 +10,7 @@ import pytest
 from bench.core.mathematics.units import SAME_INSTANT
 from bench.core.records.data import Events
 from bench.core.records.sensor_specs import Fault
+from bench.io.config import read_profile
 from bench.navigation.built_in import load
 from bench.navigation.causality import (
     change_later,
@@ -21,6 +22,7 @@ from bench.navigation.causality import (
 from bench.navigation.engine.record_cuts import longest_wait, nothing_known
 from bench.navigation.open_filters import PieceFilter
 from bench.simulation import sensors
+from tests.motions.truths import make_truth
 from tests.navigation.test_tight import MATCHED
 from tests.weaving import GNSS, units, weaving
 
@@ -63,6 +65,26 @@ FAULTS = (
 def test_filters_do_not_look_ahead(use, changes):
     one, other = draws(**changes)
     assert look(lambda: load(use, {}), one, other) == (0.0, "no")
+
+
+def straight(duration):
+    """A flight at 25 m/s that shows no heading, with a nose that nods."""
+    t = np.arange(round(duration * 50.0) + 1) / 50.0
+    vel_n = np.broadcast_to([20.0, 15.0, 0.0], (len(t), 3)).copy()
+    nods = [np.sin(3.0 * t), np.sin(2.2 * t + 1.0), 0.5 * np.sin(1.3 * t)]
+    return make_truth(vel_n, np.column_stack(nods) * 0.01 + [0.0, 0.0, np.arctan2(15.0, 20.0)], 50.0)
+
+
+@pytest.mark.parametrize(("run", "instants"), [(0, (130.0,)), (4, (60.0,)), (5, (100.0, 130.0))])
+def test_a_reset_takes_nothing_from_the_future(run, instants):
+    """A gyro that loses its heading in straight flight; later fixes jump, and tell hypotheses apart."""
+    truth = straight(150.0)
+    catalog = read_profile("figure-eight", {"sensors.imu": "mpu-9250", "sensors.gnss": "l1-code"}).sensors
+    spec = units(catalog.imu, catalog.gnss, catalog.baro)
+    one, other = (sensors.sense(truth, spec, 7, k) for k in (run, 99))
+    found = load("loose-15", {}).run(one.data, one.initial)
+    assert len(list(found.events.select("reset"))) > 1
+    assert look(lambda: load("loose-15", {}), one, other, instants) == (0.0, "no")
 
 
 def test_the_smoother_uses_the_whole_record():

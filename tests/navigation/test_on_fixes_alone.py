@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 from types import SimpleNamespace
 
 import numpy as np
@@ -417,6 +418,40 @@ def test_a_filter_without_a_heading_is_lost_at_the_next_fixes_that_move_as_they_
     lla = fixes_at(t, place, [3.0, 4.0, 0.0]).lla
     assert watched(good, lla=lla, heading_lost_at=28.0) == 53.0  # of 28, 33, ...
     assert watched(good, lla=lla, heading_lost_at=28.0, cuts=[29, 40, 53]) == 53.0
+
+
+@pytest.mark.parametrize("cuts", [(), (35,), (49, 50)])
+def test_a_jump_delays_later_tests_alone(cuts):
+    """The position jumps at 50 s: the test at 31 s does not wait, the next would for three windows."""
+    t = np.arange(1.0, 101.0)
+    rows = [
+        (
+            one,
+            c,
+            k,
+            500.0 * (c == 0 and one == 50.0),
+            1.0,
+            1e6 if c == 0 and one == 50.0 else 1.0,
+            one != 50.0,
+        )
+        for one in t
+        for c in (0, 1)
+        for k in range(3)
+    ]
+    table = Innovations.from_rows(("gnss_position", "gnss_velocity"), rows)
+    fixes = fixes_at(t, np.outer(t, [3.0, 4.0, 0.0]), [3.0, 4.0, 0.0])
+
+    def find(heading_lost_at):
+        watch = RefusedFixes(RECEIVER, "datasheet", 10.0)
+        for begin, end in pairwise([0, *cuts, len(t)]):
+            watch.take(take(fixes, slice(begin, end)))
+            part = take(table, slice(6 * begin, 6 * end))
+            if (lost := watch.find(part, heading_lost_at)) is not None:
+                return lost[0]
+        return None
+
+    assert find(30.2) == 31.0
+    assert find(52.0) is None
 
 
 def test_too_few_fixes_tell_nothing():

@@ -218,8 +218,8 @@ def sum_misfit(
 ) -> float:
     """Return the mean of -2 log likelihood of errors (K, 9) over blocks, each with its factor and walks.
 
-    ``limits`` are those of the factor. It is at least 1, because answers that are too good prove no mistake
-    in them; but free beside a claim, and 1 with that claim undone.
+    ``limits`` bound the factor. For answers it is at least 1: answers that are too good prove no mistake.
+    Beside a mistaken claim it is free, and with the claim undone it is 1.
     """
     parts = (_list_states([name]) for name in blocks)
     return sum(find_misfit(error[:, kept], cov[:, kept][:, :, kept], motion, *limits) for kept in parts)

@@ -122,7 +122,7 @@ class Convention:
     constants: int = 0
     least: float = 0.0  # length of the constants below which it is not named
     most: float = np.inf
-    shrinks: float = 0.0  # logarithm of the volume of errors over that of the same errors undone
+    shrinks: float = 0.0  # logarithm of the factor by which it enlarges the volume of the errors
     of_claim: bool = False  # it changes what is reported, and not the answers
     alone: bool = True  # it may be named without another
     starts: tuple[float, ...] = field(default=(0.0,))  # of a single constant
@@ -173,7 +173,7 @@ def _fitted(
     least: float,
     most: float,
 ) -> Convention:
-    """Return a convention whose errors are those of its derivative times the constants, turns included."""
+    """Return a convention whose errors are its derivative times the constants, turns included."""
 
     def undo(answers: Answers, motion: TrueMotion, c: FloatArray) -> Answers:
         lla, vel_n, q_nb, rows = answers.lla.copy(), answers.vel_n.copy(), answers.q_nb.copy(), motion.inside

@@ -1,8 +1,8 @@
 """Likelihood of errors of a filter whose covariance is wrong by a factor and whose errors wander.
 
 Errors over their reported covariance are, in each axis of a block, a Gauss-Markov process of variance `scale`
-plus a random walk that begins with the run. Scale (one for the block), correlation times and intensities of
-the walks are those of the greatest likelihood.
+plus a random walk that begins with the run. The scale, one for the block, the correlation times and the
+intensities of the walks maximize the likelihood.
 """
 
 from __future__ import annotations
@@ -80,7 +80,8 @@ def normalize(columns: FloatArray, motion: TrueMotion, noise: Noise) -> FloatArr
 def find_misfit(error: FloatArray, cov: FloatArray, motion: TrueMotion, *limits: float) -> float:
     """Return the mean of -2 log likelihood of the errors (K, n) of a block, without the constant term.
 
-    cov (K, n, n) is wrong by a factor within limits, low and perhaps high. Infinite if it is no covariance.
+    The factor by which cov (K, n, n) is wrong lies within ``limits``: its least, and its largest if that is
+    given. The result is infinite if cov is no covariance.
     """
     try:
         white, volume = whiten(error[:, :, None], cov)
@@ -104,7 +105,7 @@ def _innovate_kernel(
     z: FloatArray, dt: FloatArray, first: BoolArray, time: float, walk: float,
     state: FloatArray, v: FloatArray,
 ) -> float:  # fmt: skip
-    """Fill v (K, m) as `innovate`; the gains are those of all columns, and state (2, m) is memory."""
+    """Fill v (K, m) as `innovate`; all columns have the same gains, and state (2, m) is memory."""
     total, a, b, c = 0.0, 1.0, 0.0, 0.0
     for k in range(z.shape[0]):
         kept = np.exp(-dt[k] / time) if time > 0.0 else 0.0

@@ -15,7 +15,6 @@ from bench.core.mathematics.arrays import BoolArray, FloatArray
 from bench.core.records.data import Innovations
 from bench.core.words.notebook import ShownFigure
 from bench.core.words.wording import format_number
-from bench.evaluation.consistency.chi_square import MeanNis, SensorNis, mean_band, mean_nis
 from bench.evaluation.ensembles import regression
 
 CONFIDENCE = 0.95
@@ -182,35 +181,6 @@ def measure_growth(
 
 
 # --- consistency -----------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, slots=True)
-class Course:
-    """Normalized error squared along a run, averaged over runs, with its band for a matched filter."""
-
-    t: FloatArray  # (M,) [s]
-    mean: FloatArray  # (M,)
-    low: FloatArray  # (M,)
-    high: FloatArray  # (M,)
-
-
-def average_nees(t: FloatArray, nees: FloatArray, states: int, confidence: float = CONFIDENCE) -> Course:
-    """Return NEES (R, M) averaged over R runs at each time (M,) (ANEES), with its chi-square band."""
-    low, high = mean_band(states, len(nees), confidence)
-    return Course(t, nees.mean(axis=0), np.full(len(t), low), np.full(len(t), high))
-
-
-def average_nis(series: Sequence[SensorNis], edges: FloatArray) -> Course:
-    """Return the mean NIS of a sensor over all runs between each pair of edges (B + 1,), with its band.
-
-    The band is that of `bench.evaluation.consistency.chi_square.mean_nis`. Intervals without updates are NaN.
-    """
-    t, nis, dof = (np.concatenate([getattr(one, name) for one in series]) for name in ("t", "nis", "dof"))
-    at = np.searchsorted(edges, t, "right") - 1
-    empty = MeanNis(np.nan, np.nan, np.nan, 0)
-    rows = [mean_nis(nis[at == k], dof[at == k]) if (at == k).any() else empty for k in range(len(edges) - 1)]
-    mean, low, high = (np.array([getattr(row, name) for row in rows]) for name in ("mean", "low", "high"))
-    return Course(0.5 * (edges[1:] + edges[:-1]), mean, low, high)
 
 
 def estimate_fraction(inside: BoolArray, confidence: float = CONFIDENCE) -> Estimate:

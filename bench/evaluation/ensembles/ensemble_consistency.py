@@ -155,7 +155,7 @@ def _is_tolerated(ratio: Estimate) -> bool:
 
 
 def _name_wrong(words: Mapping[str, Word], ratios: Mapping[str, Estimate]) -> Iterator[str]:
-    """Yield each word with its blocks, and its axes in other blocks; alone if it is that of all blocks."""
+    """Yield each word with its blocks, and its axes in other blocks; alone if all blocks have it."""
     told: set[int] = set()
     for word in (_OVER, _UNDER):
         mine = [key for key, one in words.items() if one == word]

@@ -38,7 +38,7 @@ class Coverage:
     waited: float  # from the first epoch asked for to the first answer [s]
     first: float | None  # the first answer [s], if it came late
     longest: tuple[float, float]  # first and last epoch of the longest run without an answer [s]
-    interval: float | None = None  # of its answers, if it is longer than that of the epochs [s]
+    interval: float | None = None  # of its answers, if the epochs are closer together [s]
 
     @property
     def share(self) -> float:

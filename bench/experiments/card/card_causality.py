@@ -1,7 +1,7 @@
 """The line of a card about the look-ahead of a filter.
 
 The hashes of all answers are known before. Then a run of each flight is drawn, so that a filter cannot know
-which, and repeated in a process of its own: the bits must be those of the card. A filter that runs in pieces
+which, and repeated in a process of its own: its bits must equal the card. A filter that runs in pieces
 is fed what has arrived until each epoch; for another one, the data that arrive later change.
 """
 

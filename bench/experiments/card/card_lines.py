@@ -197,7 +197,7 @@ def compare_errors(
 
 
 def _scatter(own: Sequence[float | None], other: Sequence[float | None]) -> str:
-    """Return the scatter of errors in words, with the median of their ratios to those of another filter."""
+    """Return the scatter of errors in words, with the median of their ratios to another filter's errors."""
     errors = np.array([value for value in own if value is not None])
     pairs = [a / b for a, b in zip(own, other, strict=False) if a is not None and b]
     return measure_scatter(errors, np.array(pairs) if pairs else None).describe()

@@ -76,7 +76,7 @@ class Card(Table):
     lines: Annotated[tuple[Line, ...], ROWS]
     speed: Line | None  # measured anew each time
     use: str = ""  # what was run, as -e takes it
-    seed: int | None = None  # of all runs; None: those of the profiles
+    seed: int | None = None  # of all runs; None: the suite's own
     options: dict[str, Any] = Field(default_factory=dict)  # of the filter
     program: str = ""  # hash of the source, or of the program, and of its options
     answers: str = ""  # hash of all that it answered, every bit

@@ -87,7 +87,7 @@ class ManyHeadings(SessionState):
     tables: Kept[list[Innovations]]  # since the last answer
     later: Kept[FloatArray]  # answers wanted after the last sample [s]
     members: Kept[list[InPieces]]
-    settled: Kept[float]  # when one hypothesis was chosen; -inf before it [s]
+    settled: Kept[float]  # when all had lost the heading, else when one was chosen; -inf before it [s]
 
     def __init__(
         self, begin: Begin, first: SensorData, initial: InitialState, events: list[EventRow]
@@ -172,7 +172,7 @@ class ManyHeadings(SessionState):
             if spread < _APART * own:
                 text = f"settled by {until:.0f} s, sd {np.rad2deg(own):.2g} deg"
                 found.append(self._end(take_answers(solutions[self.best], slice(done, None)), until, text))
-                self.settled = until
+                self.settled = self.heading_lost_at or until
                 self.members = [self.members[self.best]]
                 self.complete = True
                 return found
