@@ -30,6 +30,7 @@ class Scripted:
         self.off, root = rng.normal(size=6), 0.02 * rng.normal(size=(9, 9))
         self.cov, self.extra = root @ root.T, np.array([k * 0.1, 2.0])
         self.said = 0
+        self.heading_lost_at = None
 
     def update(self, piece, look_back, *, last):
         before, self.end = self.end, max(self.end, piece.imu.t.max(initial=self.end))

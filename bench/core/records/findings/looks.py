@@ -29,7 +29,7 @@ _GOOD, _BAD = VerdictLook("good", "✓"), VerdictLook("bad", "✗")
 LOOKS: Mapping[str, VerdictLook] = {
     **dict.fromkeys(("consistent", "better", "met", "held"), _GOOD),
     **dict.fromkeys(("overconfident", "diverged", "failed", "incomplete", "worse", "missed"), _BAD),
-    "underconfident": VerdictLook("wide", "△"),
+    **dict.fromkeys(("underconfident", "uneven"), VerdictLook("wide", "△")),
     "undecided": VerdictLook("wide", "?"),
     **dict.fromkeys(("no covariance", "not evaluated", "same"), VerdictLook("none", "–")),
 }
