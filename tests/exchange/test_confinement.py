@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+import platform
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -24,7 +25,7 @@ from tests.builders import assert_same_solution
 from tests.synthetic import turning
 
 OWN = """
-import os, subprocess, sys, tempfile
+import ctypes, os, socket, subprocess, sys, tempfile
 from pathlib import Path
 import numpy as np
 import helper
@@ -57,6 +58,29 @@ class Keeps(Reads):
         np.random.default_rng().normal()
         os.remove("seen")
         return super().run(data, initial)
+
+class Calls(Reads):
+    def run(self, data, initial):
+        libc = ctypes.CDLL(None, use_errno=True)
+        tries = {
+            "shmget": lambda: libc.shmget(0x5A5A, 64, 0o1600),
+            "semget": lambda: libc.semget(0x5A5A, 1, 0o1600),
+            "msgget": lambda: libc.msgget(0x5A5A, 0o1600),
+            "mq_open": lambda: libc.mq_open(b"/bench-test", 0o102, 0o600, None),
+            "keys": lambda: libc.syscall(KEYS, b"user", b"bench-test", b"1", 1, -4),
+            "xattr": lambda: os.setxattr(__file__, "user.seen", b"1") or 0,
+            "utime": lambda: os.utime(__file__, (1, 1)) or 0,
+            "chmod": lambda: os.chmod(__file__, 0o640) or 0,
+            "udp": lambda: socket.socket(socket.AF_INET, socket.SOCK_DGRAM).fileno(),
+        }
+        def has_failed(call):
+            ctypes.set_errno(0)
+            try:
+                return call() < 0 and ctypes.get_errno() == 1
+            except PermissionError:
+                return True
+        done = [name for name in tries if not has_failed(tries[name])]
+        raise RuntimeError(f"has done {done}")
 """
 
 
@@ -139,6 +163,21 @@ def test_what_is_not_its_own_stays_closed(place, sensed, monkeypatch, name, path
     with suppress(FileNotFoundError):
         assert (place / "mine.py").read_text() == OWN
         assert not (place / "seen.txt").exists()
+
+
+def test_nothing_outlives_the_process_without_a_file(place, sensed):
+    """System V and POSIX queues, keys, times and attributes of its own file; nor does it get a socket."""
+    if not confinement_version():
+        pytest.skip("this system has no Landlock")
+    keys = {"x86_64": 248, "aarch64": 217}[platform.machine()]
+    (place / "mine.py").write_text(f"{OWN}\nKEYS = {keys}\n")
+    with confined("Calls") as one, pytest.raises(EstimatorFailedError, match=r"has done \[\]"):
+        one.run(sensed.data, sensed.initial)
+
+
+def test_another_machine_is_not_confined(monkeypatch):
+    monkeypatch.setattr(confinement.platform, "machine", lambda: "riscv64")
+    assert not confinement._refuse_calls(ctypes.CDLL(None))
 
 
 def test_without_it_the_same_filter_reads_them(place, sensed):

@@ -1,7 +1,9 @@
 """Confinement of the process of a filter by Landlock: from then on it may open only what a list allows.
 
 It may read Python, system libraries, compiled kernels, the modules on the Python path, and files beside its
-own module that it names. It may write into its working folder. See landlock(7) of Linux.
+own module that it names. It may write into its working folder. A second filter, of system calls, refuses what
+outlives the process without being a file: shared memory, message queues, keys, attributes of files; and
+sockets. See landlock(7) and seccomp(2) of Linux.
 """
 
 from __future__ import annotations
@@ -9,6 +11,7 @@ from __future__ import annotations
 import ctypes
 import os
 import pkgutil
+import platform
 import shutil
 import struct
 import sys
@@ -27,6 +30,14 @@ _OF_FILE = 0b1100_0000_0000_0111  # rights that a file has: those, truncate and 
 _RIGHTS = {1: 13, 2: 14, 3: 15, 4: 15}  # number of all rights, by version of Landlock; 16 from 5 on
 _SYSTEM = ("/usr", "/lib", "/lib64", "/bin", "/etc/ld.so.cache", "/etc/localtime", "/sys/devices/system/cpu")
 _PLAIN = ("/proc/cpuinfo", "/proc/meminfo", "/dev/null", "/dev/zero", "/dev/random", "/dev/urandom")
+_SECCOMP, _FILTER = 22, 2  # of prctl
+_REFUSED = {  # number of the machine in elf.h, and of its system calls: see unistd.h
+    "x86_64": (0xC000003E, (29, 41, 64, 68, *range(90, 95), 132, *range(188, 191), 235, 240, *range(248, 251),
+                            260, 261, 268, 280)),
+    "aarch64": (0xC00000B7, (*range(5, 8), *range(52, 56), 88, 180, 186, 190, 194, 198, *range(217, 220))),
+}  # fmt: skip
+_REFUSED_BY_ALL = (425, 452, 463)  # io_uring_setup, fchmodat2, setxattrat
+_NOT_NATIVE = 0x4000_0000  # system calls from here on are of the x32 ABI
 
 HINT = "on a card a filter may open only its own files, by their whole path"
 
@@ -60,7 +71,21 @@ def confine(module: str, home: Path) -> bool:
             os.close(descriptor)
     held = libc.prctl(_NO_NEW_PRIVS, 1, 0, 0, 0) == 0 and libc.syscall(_RESTRICT_SELF, rules, 0) == 0
     os.close(rules)
-    return bool(held)
+    return bool(held) and _refuse_calls(libc)
+
+
+def _refuse_calls(libc: ctypes.CDLL) -> bool:
+    """Let system calls that keep or send something without a file fail with EPERM; False if Linux cannot."""
+    if platform.machine() not in _REFUSED:
+        return False
+    machine, numbers = _REFUSED[platform.machine()]
+    refused = [(0x35, _NOT_NATIVE), *((0x15, number) for number in (*numbers, *_REFUSED_BY_ALL))]
+    steps = [(0x20, 0, 0, 4), (0x15, 0, len(refused) + 2, machine), (0x20, 0, 0, 0)]  # load, compare, load
+    steps += [(code, len(refused) - k, 0, value) for k, (code, value) in enumerate(refused)]
+    steps += [(0x06, 0, 0, 0x7FFF_0000), (0x06, 0, 0, 0x0005_0001)]  # allow; refuse with EPERM
+    code = ctypes.create_string_buffer(b"".join(struct.pack("=HBBI", *step) for step in steps))
+    program = ctypes.create_string_buffer(struct.pack("@HP", len(steps), ctypes.addressof(code)))
+    return bool(libc.prctl(_SECCOMP, _FILTER, program, 0, 0) == 0)
 
 
 def _find_modules(own: str) -> Iterator[str | Path]:
