@@ -22,6 +22,7 @@ from bench.navigation.engine.record_cuts import cut_piece, nothing_known
 from bench.navigation.open_filters import PieceFilter
 
 _COLUMNS = ("lla", "vel_n", "q_nb", "cov", "gyro_bias_b", "accel_bias_b", "extra", "extra_sd", "offset_cov")
+_TIMES = ("t", "t_arrival", "dt")
 _WHOLE = 0.9  # of the time before a time: a filter that uses so much uses the whole record
 _HALVINGS = 8  # of the rest of a record, in search of the last data that an answer uses
 
@@ -89,6 +90,21 @@ def change_later(sensors: SensorData, others: Sequence[SensorData], after: float
                 columns[name][later] = getattr(source, name)[rows]
         changed[one.name] = replace(record, **columns)
     return replace(sensors, **changed)
+
+
+def reverse_values(data: SensorData) -> SensorData:
+    """Return a record with the same times, its values in reverse order: another motion; satellites stay."""
+    changed = {}
+    for one in fields(data):
+        record = getattr(data, one.name)
+        if hasattr(record, "t") and one.name != "observations":
+            columns = {f.name: getattr(record, f.name) for f in fields(record)}
+            changed[one.name] = replace(record, **{
+                name: column[::-1].copy()
+                for name, column in columns.items()
+                if name not in _TIMES and isinstance(column, np.ndarray) and len(column) == len(record.t)
+            })  # fmt: skip
+    return replace(data, **changed)
 
 
 def find_change(first: NavSolution, other: NavSolution, until: float) -> float | None:

@@ -146,6 +146,27 @@ class KnowsWhenFixesReturn(Ahead):
         return replace(honest, cov=honest.cov * gain[:, None, None])
 
 
+class KnowsItsWay(Ahead):
+    """Claims more where it will be north of its start in 5 s: no noise changes that."""
+
+    def mix(self, honest, ahead, rows):
+        soon = np.minimum(np.searchsorted(honest.t, honest.t + 5.0), len(honest.t) - 1)
+        gain = np.where(honest.lla[soon, 0] > honest.lla[0, 0], 1.1, 1.0)
+        return replace(honest, cov=honest.cov * gain[:, None, None])
+
+
+class KnowsTheNextTurn(Ahead):
+    """Corrects its heading by the turn of the next second, rounded to 5 deg."""
+
+    def mix(self, honest, ahead, rows):
+        q_nb = honest.q_nb.copy()
+        soon = np.minimum(np.searchsorted(honest.t, honest.t + 1.0), len(honest.t) - 1)
+        turn = rotation.to_rotvec(rotation.multiply(rotation.conjugate(q_nb), q_nb[soon]))[:, 2]
+        by = np.zeros((len(q_nb), 3))
+        by[:, 2] = 0.01 * np.deg2rad(5.0) * np.round(turn / np.deg2rad(5.0))
+        return replace(honest, q_nb=rotation.multiply(q_nb, rotation.from_rotvec(by)))
+
+
 class AheadByOneStep(Ahead):
     """Each answer is the mean of two: its own and that of the next epoch."""
 
@@ -381,6 +402,18 @@ class Particles(Ahead):
         cov = found.cov.copy()
         cov[:, :3, :3] = np.diag(np.full(3, 5.0**2))
         return replace(found, lla=lla, cov=cov)
+
+
+class FailsAtAJump(Ahead):
+    """Raises an error where the velocity of the fixes jumps, and counts how often."""
+
+    failed = 0
+
+    def run(self, sensors, initial):
+        if np.abs(np.diff(sensors.fixes.vel_n, axis=0)).max() > 15.0:
+            type(self).failed += 1
+            raise RuntimeError("the fixes have jumped")
+        return load("loose-15", {}).run(sensors, initial)
 
 
 ODD = ("OncePerSecond", "Single", "WithoutBiases", "Backdates", "AttitudeOnly", "Particles")

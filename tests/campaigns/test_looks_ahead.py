@@ -14,7 +14,7 @@ from bench.experiments.card import card_making
 from bench.experiments.card.card_causality import choose_instants, judge_causality
 from bench.experiments.card.card_lines import UNPROVEN, Line
 from bench.experiments.card.card_suite import Suite, SuiteFlight
-from tests.campaigns.looks_ahead import ODD
+from tests.campaigns.looks_ahead import ODD, FailsAtAJump
 from tests.campaigns.test_campaign import PROFILE
 
 EVENTS = """
@@ -37,6 +37,8 @@ LOOKS = (
     "AheadInEvents",
     "LeaksALittle",
     "KnowsWhenFixesReturn",
+    "KnowsItsWay",
+    "KnowsTheNextTurn",
     "AheadByOneStep",
     "StreamsHonestly",
     "SeesTheAudit",
@@ -100,6 +102,12 @@ def test_honest_filters_are_not_accused(use):
     how = "other data after" if ":" in use else "fed in pieces in 1 runs"
     assert how in line.sentence
     assert ("not confined" in line.sentence) == (":" in use)
+
+
+def test_a_filter_that_fails_after_a_jump_gets_other_noise_alone():
+    line = audit(own("FailsAtAJump"))
+    assert FailsAtAJump.failed > 0
+    assert (line.value, line.word) == (0.0, ""), line.sentence
 
 
 def test_the_times_lie_in_the_parts_of_a_flight():

@@ -18,6 +18,7 @@ from bench.navigation.causality import (
     find_late,
     list_differing,
     measure_look_ahead,
+    reverse_values,
 )
 from bench.navigation.engine.record_cuts import longest_wait, nothing_known
 from bench.navigation.open_filters import PieceFilter
@@ -219,6 +220,17 @@ def test_an_outage_to_come_is_another_one():
     np.testing.assert_array_equal(
         change_later(out.data, [few, other.data], 32.0).fixes.lla[later], other.data.fixes.lla[later]
     )
+
+
+def test_another_motion_has_the_same_times():
+    one = next(draws()).data
+    other = reverse_values(one)
+    for name in ("imu", "fixes", "baro"):
+        np.testing.assert_array_equal(getattr(other, name).t, getattr(one, name).t)
+    np.testing.assert_array_equal(other.imu.dtheta_b[0], one.imu.dtheta_b[-1])
+    np.testing.assert_array_equal(other.fixes.lla, one.fixes.lla[::-1])
+    np.testing.assert_array_equal(other.fixes.t_arrival, one.fixes.t_arrival)
+    np.testing.assert_array_equal(other.output_t, one.output_t)
 
 
 # --- in pieces --------------------------------------------------------------------------------------------

@@ -26,7 +26,7 @@ from bench.experiments.campaigns.worker import hash_answers
 from bench.experiments.card.card_lines import UNPROVEN, Line, Rows
 from bench.experiments.card.card_suite import LATE, Suite
 from bench.navigation.built_in import BUILT_IN
-from bench.navigation.causality import find_late, measure_look_ahead
+from bench.navigation.causality import find_late, measure_look_ahead, reverse_values
 from bench.navigation.engine.record_cuts import longest_wait
 from bench.navigation.estimator import Estimator, answer
 from bench.navigation.open_filters import PieceFilter
@@ -143,6 +143,8 @@ class _Audit:
             pipeline.sense(spec, truth, int(self.rng.integers(_OTHER, 2 * _OTHER))).data
             for spec in ([calm, profile] if spans else [profile])
         ]
+        with suppress(EstimatorFailedError):  # of a filter that cannot go on with such a jump
+            return measure_look_ahead(run, first, one.data, [reverse_values(one) for one in others], instants)
         return measure_look_ahead(run, first, one.data, others, instants)
 
 
