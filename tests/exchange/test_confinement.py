@@ -71,6 +71,8 @@ class Calls(Reads):
             "xattr": lambda: os.setxattr(__file__, "user.seen", b"1") or 0,
             "utime": lambda: os.utime(__file__, (1, 1)) or 0,
             "chmod": lambda: os.chmod(__file__, 0o640) or 0,
+            "group": lambda: os.setpgid(0, 0) or 0,
+            "session": lambda: libc.setsid(),
             "udp": lambda: socket.socket(socket.AF_INET, socket.SOCK_DGRAM).fileno(),
         }
         def has_failed(call):
@@ -166,7 +168,7 @@ def test_what_is_not_its_own_stays_closed(place, sensed, monkeypatch, name, path
 
 
 def test_nothing_outlives_the_process_without_a_file(place, sensed):
-    """System V and POSIX queues, keys, times and attributes of its own file; nor does it get a socket."""
+    """System V and POSIX queues, keys, times and attributes of its own file, a group or session, a socket."""
     if not confinement_version():
         pytest.skip("this system has no Landlock")
     keys = {"x86_64": 248, "aarch64": 217}[platform.machine()]

@@ -1,9 +1,9 @@
 """Confinement of the process of a filter by Landlock: from then on it may open only what a list allows.
 
 It may read Python, system libraries, compiled kernels, the modules on the Python path, and files beside its
-own module that it names. It may write into its working folder. A second filter, of system calls, refuses what
-outlives the process without being a file: shared memory, message queues, keys, attributes of files; and
-sockets. See landlock(7) and seccomp(2) of Linux.
+own module that it names. It may write into its working folder. System calls that could pass data to another
+run without a file fail: shared memory, message queues, keys, attributes of files, sockets, and sessions,
+which would outlive the filter. See landlock(7) and seccomp(2) of Linux.
 """
 
 from __future__ import annotations
@@ -32,14 +32,15 @@ _SYSTEM = ("/usr", "/lib", "/lib64", "/bin", "/etc/ld.so.cache", "/etc/localtime
 _PLAIN = ("/proc/cpuinfo", "/proc/meminfo", "/dev/null", "/dev/zero", "/dev/random", "/dev/urandom")
 _SECCOMP, _FILTER = 22, 2  # of prctl
 _REFUSED = {  # number of the machine in elf.h, and of its system calls: see unistd.h
-    "x86_64": (0xC000003E, (29, 41, 64, 68, *range(90, 95), 132, *range(188, 191), 235, 240, *range(248, 251),
-                            260, 261, 268, 280)),
-    "aarch64": (0xC00000B7, (*range(5, 8), *range(52, 56), 88, 180, 186, 190, 194, 198, *range(217, 220))),
+    "x86_64": (0xC000003E, (29, 41, 64, 68, *range(90, 95), 109, 112, 132, *range(188, 191), 235, 240,
+                            *range(248, 251), 260, 261, 268, 280)),
+    "aarch64": (0xC00000B7, (*range(5, 8), *range(52, 56), 88, 154, 157, 180, 186, 190, 194, 198,
+                             *range(217, 220))),
 }  # fmt: skip
 _REFUSED_BY_ALL = (425, 452, 463)  # io_uring_setup, fchmodat2, setxattrat
 _NOT_NATIVE = 0x4000_0000  # system calls from here on are of the x32 ABI
 
-HINT = "on a card a filter may open only its own files, by their whole path"
+HINT = "on a card a filter may open only its own files, by their whole path, and no sockets"
 
 
 def make_place(home: Path) -> tuple[Path, dict[str, str]]:
