@@ -34,11 +34,11 @@ def measure_look_ahead(
     others: Sequence[SensorData],
     instants: Iterable[float],
 ) -> tuple[float, str]:
-    """Return how far a filter looks ahead [s], 0 if not at all, and the same in words.
+    """Return how far a filter looks ahead [s], 0 if not at all, also in words.
 
     ``run`` returns the solution of a new instance for a record: ``first`` for ``sensors``. After ``instants``
-    [s], each moved to the IMU sample before, data are from ``others``; the first that shows it counts.
-    ValueError if the records are not of the same epochs, or it gives no answer.
+    [s], each moved to the IMU sample before, data are from ``others``; the first one that shows a look-ahead
+    counts. ValueError if the records are not of the same epochs, or if ``first`` is empty.
     """
     if not (np.isfinite(first.lla).any() or np.isfinite(first.q_nb).any()):
         raise ValueError("it gives no answer")
@@ -108,10 +108,10 @@ def reverse_values(data: SensorData) -> SensorData:
 
 
 def find_change(first: NavSolution, other: NavSolution, until: float) -> float | None:
-    """Return the first time, until some time [s], at which two solutions tell anything else."""
+    """Return the first time, until some time [s], at which two solutions differ, events included."""
     rows = np.flatnonzero(first.t <= until + SAME_INSTANT)
     times = first.t[rows][list_differing(first, rows, other, rows)][:1].tolist()
-    a, b = _tell_events(first), _tell_events(other)
+    a, b = _list_due(first), _list_due(other)
     times += [t for key, t in (a | b).items() if t <= until and not (key in a and key in b)]
     return min(times, default=None)
 
@@ -131,14 +131,14 @@ def list_differing(one: NavSolution, its: IntArray, other: NavSolution, theirs: 
     return differ
 
 
-def _tell_events(solution: NavSolution) -> dict[tuple[float, str, str], float]:
-    """Return when each event, by start, kind and sensor, has to be told [s]: an alarm when it starts."""
+def _list_due(solution: NavSolution) -> dict[tuple[float, str, str], float]:
+    """Return when each event, by start, kind, sensor, is due [s]: an alarm at its start, others at the end."""
     rows = [(*row, "") for row in solution.events.rows()]
     return {(t, kind, sensor): t if kind == "integrity" else end for t, end, kind, _, sensor, *_ in rows}
 
 
 def find_late(filter_: PieceFilter, sensors: SensorData, whole: NavSolution, ends: BoolArray) -> list[float]:
-    """Feed a filter piece by piece; return the times of answers and events that are others, or late [s].
+    """Feed a filter piece by piece; return the times of answers and events that differ or come late [s].
 
     A piece ends at each epoch of ``ends`` (M,): the answer there is taken before anything later comes. Epochs
     in a gap of the IMU belong to the piece after it; those before the first answer of ``whole``, the solution
@@ -160,11 +160,11 @@ def find_late(filter_: PieceFilter, sensors: SensorData, whole: NavSolution, end
         for part in (final, now):
             rows = np.minimum(np.searchsorted(output_t, part.t), len(output_t) - 1)
             late.update(output_t[rows[list_differing(whole, rows, part, slice(None)) & begun[rows]]].tolist())
-            for key in _tell_events(part):
+            for key in _list_due(part):
                 told.setdefault(key, t)
         if begun[k] and not (t in final.t or t in now.t):
             late.add(t)
-    for key, due in _tell_events(whole).items():  # at the last epoch, of what arrives after it
+    for key, due in _list_due(whole).items():  # at the last epoch, of what arrives after it
         stops = output_t[ends & (output_t >= due - SAME_INSTANT)]
         if due < output_t[-1] and told.get(key, np.inf) > stops[0]:
             late.add(due)

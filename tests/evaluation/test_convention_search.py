@@ -195,7 +195,7 @@ def test_the_sentence_names_steps_and_what_is_not_told():
     whole = BlockNees(9, 8.5, 1.0, 20.0, 10.0)
     told = convention_search.describe([[a, b, c], [b]], BlockNees(9, np.inf, 0.0, np.inf, 0.0), whole)
     assert told == (
-        "Looks like a, b or c (this motion does not tell them apart), and b: without these its NEES is 8.5 "
+        "Looks like a, b or c (this motion cannot distinguish them), and b: without these its NEES is 8.5 "
         "and not without bound (9 expected)."
     )
     told = convention_search.describe([[a]], BlockNees(9, 1234.0, 0.0, 1.0, 0.0), whole)

@@ -105,7 +105,7 @@ def test_what_a_straight_flight_does_not_tell_is_named_together(monkeypatch):
     speed = np.linalg.norm(truth.vel_n[-1])
     assert time[0] * speed == pytest.approx(-arm[0], abs=0.1)
     assert np.linalg.norm(offset) == pytest.approx(-arm[0], abs=0.1)
-    assert "(this motion does not tell them apart)" in late["why_text"]
+    assert "(this motion cannot distinguish them)" in late["why_text"]
     turned = conventions(mistaken.ask("turned by 2 deg", 0, "straight"))
     assert turned == ["rotation of the body", "rotation of the level"]
 

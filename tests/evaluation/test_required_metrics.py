@@ -79,14 +79,14 @@ def test_the_runs_that_are_missing_are_told():
     assert found.word == UNDECIDED
     assert found.sentence == (
         "mine: pos_rmse_h_m is at most 5 m in 8 of 8 runs, 68.8 to 100 % of all, 95 % are required: "
-        "undecided; 153 runs show it with 90 % if 99 % of all keep it."
+        "undecided; 153 runs would show it in 90 % of cases if 99 % of all runs meet it."
     )
     lost = [{"pos_rmse_h_m": 1.0, "converged": k > 9} for k in range(59)]
     assert judge_runs("mine", lost, [MOST])[0].word == MISSED
     many = judge_all([True] * 192 + [False] * 8, MOST)
-    assert "so few keep it that more than 153 runs are needed" in many.sentence
+    assert "fewer runs meet it than the 99 % expected: more than 153 runs are needed" in many.sentence
     near = judge_all([True] * 8, {**MOST, "expected_share": 0.95001})
-    assert near.sentence.endswith("undecided; no number of runs shows it for a filter of which 95 % keep it.")
+    assert near.sentence.endswith("undecided; no number of runs would show it if 95 % of all runs meet it.")
 
 
 @pytest.mark.parametrize("share", [0.5, 0.9, 0.95])

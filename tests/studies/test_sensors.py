@@ -168,7 +168,7 @@ def test_a_requirement_of_the_profile_is_judged_and_more_draws_are_flown_for_it(
     assert "(tactical) meets the requirement" in found.verdicts[0]
     found, answer = ask(names, flights, max_runs=24)
     assert (found.good, found.undecided) == (True, True)
-    assert any("233 runs show it with 90 %" in one for one in found.verdicts)
+    assert any("233 runs would show it in 90 % of cases" in one for one in found.verdicts)
     assert "no unit is shown to meet the requirement" in found.verdicts[0]
     assert not ask(names, flights, max_runs=73)[0].undecided
 

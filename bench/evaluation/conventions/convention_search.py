@@ -1,10 +1,10 @@
 """Search for a mistaken convention that explains the errors of an inconsistent solution.
 
-A convention is named only if undoing it brings the NEES of the blocks that it changes into their band or
-down tenfold. And it has to explain more than a null does: right answers with a covariance of each block that
-is wrong by a factor, and errors that wander as a random walk. The answers without the mistake have such a
-factor and such walks as well; a claim has no factor then. All that the flight cannot distinguish from the
-best are named with it. What is left is searched again.
+A convention is named only if undoing it brings the NEES of the affected blocks into their band, or reduces it
+to a tenth. It must also explain the errors better than the null model: a covariance that is wrong by a factor
+in each block, and errors with a random walk. With the convention undone, the errors may have random walks
+too, and a factor unless the convention is one of the covariance. Conventions that the flight cannot
+distinguish from the best are named with it. The search is then repeated on the remaining errors.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ from bench.evaluation.conventions.null_model import find_misfit, fit_noise, norm
 from bench.evaluation.errors.error_series import BLOCKS, claimed_blocks, find_covered_epochs, select_epochs
 
 _TENFOLD = 10.0
-_BEYOND = 20.0  # twice the log likelihood ratio to the null from which one is named; by simulation
-_ALIKE = 14.0  # twice the log likelihood ratio within which the flight does not tell conventions apart
+_BEYOND = 20.0  # least twice the log likelihood ratio to the null of a named convention; by simulation
+_ALIKE = 14.0  # twice the log likelihood ratio within which the flight cannot distinguish conventions
 _FITS = 4.0  # errors of a state over its sigma, rms of one run, or one over it: its covariance may be right
 _OF_UNITS = 0.5  # of what a unit alone takes off: any attitude is within half a turn, in a unit 57 times less
 _ROUNDS = 3  # of searching the rest again
 _ITERATIONS = 6  # of a fit
-_UNWEIGHTED = 2  # of them before the noise of what is left is known
+_UNWEIGHTED = 2  # first iterations, before the noise of the residuals is known
 _MOST = 1500  # epochs that are looked at
 _SPACING = 1.0  # between them at least [s]
 _FEW = 300  # of them for the starts of a fit
@@ -218,15 +218,15 @@ def sum_misfit(
 ) -> float:
     """Return the mean of -2 log likelihood of errors (K, 9) over blocks, each with its factor and walks.
 
-    ``limits`` bound the factor. For answers it is at least 1: answers that are too good prove no mistake.
-    Beside a mistaken claim it is free, and with the claim undone it is 1.
+    ``limits`` bound the factor. For a convention of the solution it is at least 1, because small errors prove
+    no mistake. For a convention of the covariance it is free before undoing, and 1 after it.
     """
     parts = (_list_states([name]) for name in blocks)
     return sum(find_misfit(error[:, kept], cov[:, kept][:, :, kept], motion, *limits) for kept in parts)
 
 
 def fit(truths: Sequence[Trajectory], answers: Answers, one: Convention, blocks: Sequence[str]) -> FloatArray:
-    """Return the constants of a convention; NaN if the flight does not tell them."""
+    """Return the constants of a convention; NaN if the flight does not determine them."""
     constants = np.zeros(one.constants)
     if len(one.starts) > 1:
         few = answers.take(slice(None, None, max(1, len(answers.t) // _FEW)))
@@ -246,9 +246,9 @@ def solve(
     constants: FloatArray,
     white: bool,
 ) -> FloatArray:
-    """Return a least-squares step for the constants; NaN if the flight does not tell them.
+    """Return a least-squares step for the constants; NaN if the flight does not determine them.
 
-    What is left is weighted as errors with the noise that fits it best, or as ``white`` noise.
+    The weights are those of the noise model that fits the residuals best, or of ``white`` noise.
     """
     assert one.derivative is not None
     motion, error, cov = see(truths, one.undo(answers, move(truths, answers), constants))
@@ -271,7 +271,7 @@ def describe(steps: Sequence[Sequence[Mistake]], before: BlockNees, after: Block
         words = [one.convention.words(one.constants) for one in step]
         parts.append(" or ".join(filter(None, [", ".join(words[:-1]), words[-1]])))
         if len(step) > 1:
-            parts[-1] += " (this motion does not tell them apart)"
+            parts[-1] += " (this motion cannot distinguish them)"
     them = "that" if len(steps) == 1 else "these"
     return (
         f"Looks like {', and '.join(parts)}: without {them} its NEES is {write_nees(after.mean)} and not "

@@ -24,7 +24,7 @@ SAME = 0.05
 """Ratios nearer to 1 than this make no difference to whoever buys or tunes [1]."""
 
 ENOUGH = 59
-"""Fewest runs of which one is of the largest 5 % with a probability of 95 %: 1 - 0.95^59."""
+"""Fewest runs that include one of the largest 5 % with a probability of 95 %: 1 - 0.95^59."""
 
 LAGS = 20
 """Number of lags of the test of whiteness."""

@@ -66,8 +66,9 @@ def judge_ratios(ratios: Mapping[str, FloatArray], inside: FloatArray | None = N
     """Evaluate from the scatter between runs whether NEES, its blocks and its axes are right within 25 %.
 
     A ratio above or below `TOLERATED` makes the filter over- or underconfident; Holm's method keeps the
-    probability of any false one at `ERROR_RATE`. *Consistent* needs the interval of `WHOLE` inside
-    `TOLERATED`, two one-sided tests of 1 %, and no other ratio that is proven not to be 1 and may be outside.
+    probability of any false verdict at `ERROR_RATE`. *Consistent* needs the interval of `WHOLE` inside
+    `TOLERATED` (two one-sided tests of 1 %). If another ratio proves not to be 1, its interval must be
+    inside too.
 
     Parameters
     ----------
@@ -122,7 +123,7 @@ def judge_ratios(ratios: Mapping[str, FloatArray], inside: FloatArray | None = N
 
 
 def read_ratios(rows: Sequence[Mapping[str, Any]]) -> dict[str, FloatArray]:
-    """Return the ratios of blocks and axes from the metrics of runs, of those that all runs have."""
+    """Return the ratios of blocks and axes from the metrics of runs; only ratios that all runs have."""
     columns = {key: [row.get(f"nees_ratio_{key}") for row in rows] for key in _STATES}
     return {key: np.array(values, float) for key, values in columns.items() if rows and None not in values}
 
@@ -178,7 +179,7 @@ def _name_ratios(keys: Sequence[str], ratios: Mapping[str, Estimate], told: set[
 
 
 def _count_deciding(ratio: Estimate, runs: int) -> int:
-    """Return the number of runs whose interval would not hold the nearer edge of `TOLERATED`."""
+    """Return the number of runs whose interval would exclude the nearer edge of `TOLERATED`."""
     half = 0.5 * (ratio.high - ratio.low) if math.isfinite(ratio.high) else ratio.value - ratio.low
     distance = max(min(abs(ratio.value - edge) for edge in TOLERATED), 1e-3)
     return math.ceil(runs * (half / distance) ** 2)

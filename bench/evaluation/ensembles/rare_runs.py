@@ -32,7 +32,7 @@ class RunScatter:
 
     @property
     def large_words(self) -> str:
-        """The number of large runs, what it says of all runs, and the largest share, in words."""
+        """The number of large runs, its bound for all runs, and the largest share, in words."""
         return (
             f"{self.large} of {self.runs} runs above {_LARGE:g} times the median "
             f"(below {100 * self.most:.0f} % of all), "
@@ -43,8 +43,8 @@ class RunScatter:
 def measure_scatter(errors: FloatArray, ratios: FloatArray | None = None) -> RunScatter:
     """Return the median, the large runs and the largest share of RMS errors (R,) of independent runs.
 
-    The median is that of ``ratios`` (R,), if they are given. Its interval is of order statistics, the bound
-    of the large runs Clopper and Pearson's.
+    If ``ratios`` (R,) are given, the median is the median of the ratios. Its interval follows from order
+    statistics, the bound of the large runs from Clopper and Pearson.
 
     Examples
     --------

@@ -27,7 +27,7 @@ def state_uncertainty(runs: str, seeds: str, provenance: Mapping[str, Any]) -> d
         With the ``commit`` and the ``versions`` that made them.
     """
     return {
-        "what_varies": "noise, biases and starts of the sensors, and where it says so the flight",
+        "what_varies": "noise, biases and initial states; the flight where suite or campaign vary it",
         "coverage": "95 %, both sides alike",
         "methods": dict(METHODS),
         "runs": runs,

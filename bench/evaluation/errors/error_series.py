@@ -39,7 +39,7 @@ AXIS_TITLES = {
     "phi_n": "tilt about north",
     "phi_e": "tilt about east",
 }
-"""Axis of a block -> its name in words, the most telling of each block first."""
+"""Axis of a block -> its name in words, the most informative axis of each block first."""
 
 NOT_COVERED = "not_covered"
 """Kind of the events of an interval without a solution."""

@@ -112,9 +112,9 @@ def _choose_longest(solution: ForeignSolution, longest: float | None) -> float:
 def carry_rows(solution: ForeignSolution, t: FloatArray, longest: float | None = None) -> NavSolution:
     """Return a solution at other times, with each row extrapolated until the next row by its velocity.
 
-    Parameters as for :func:`resample`; ``longest`` is the longest time that a row is carried on [s]. By
-    default a row of a table that is slower than ``t`` counts at the first time from its own on, and at no
-    other: the table is evaluated at its own rate.
+    Parameters as for :func:`resample`; ``longest`` is the longest time that a row is extrapolated [s]. By
+    default, if the rows are farther apart than the times ``t``, each row counts once, at the first time that
+    is not before its own: the table is evaluated at its own rate.
     """
     most = _choose_longest(solution, longest)
     if longest is None and len(t) > 1 and len(solution) > 1:

@@ -4,8 +4,8 @@ Each estimated block (position, velocity, attitude) counts at every time from it
 without an answer gets the error of the last answer, extrapolated by its own velocity: a filter without
 answers where its errors are large must not look better than a filter that answers.
 
-A filter may answer at its own rate. Its answers are then evaluated at their own epochs and nothing is
-interpolated; what is asked for is an answer in each of its intervals.
+A filter may answer at its own rate. It is then evaluated at its own epochs, nothing is interpolated, and one
+answer in each of its intervals is required.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ ENOUGH = 0.99
 """Share of the epochs that each block of a solution has to answer [1]."""
 
 _LATE = 1.0  # a first answer later than this after the first epoch is mentioned [s]
-_GAP = 1.5  # so many times its usual interval a sensor, or a filter, was silent [1]
-_SLOWEST = 2.0  # longest interval of the answers of a filter: one that is silent for longer is silent [s]
+_GAP = 1.5  # a sensor or filter is silent after this many of its usual intervals [1]
+_SLOWEST = 2.0  # longest interval of a filter at its own rate; a longer one is silence [s]
 
 
 @dataclass(frozen=True, slots=True)

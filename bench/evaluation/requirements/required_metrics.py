@@ -99,7 +99,7 @@ def judge_runs(
 ) -> list[Finding]:
     """Return whether enough of the runs meet each requirement; parameters as for :func:`judge_run`.
 
-    ``sequential``: runs are added until it is decided, whatever the row plans.
+    ``sequential``: runs are added until it is decided, whatever ``plan`` the row has.
     """
     found = []
     for row in rows if runs else ():
@@ -121,10 +121,11 @@ def _advise(test: ShareTest, n: int) -> str:
     """Return the number of runs that would decide, in words."""
     needed, percent = test.count_runs(), f"{100 * test.expected:.4g} %"
     if needed is None:
-        return f"no number of runs shows it for a filter of which {percent} keep it"
+        return f"no number of runs would show it if {percent} of all runs meet it"
     if needed <= n:
-        return f"so few keep it that more than {needed} runs are needed; {percent} were expected"
-    return f"{needed} runs show it with {100 * (1.0 - test.beta):g} % if {percent} of all keep it"
+        return f"fewer runs meet it than the {percent} expected: more than {needed} runs are needed"
+    chance = 100 * (1.0 - test.beta)
+    return f"{needed} runs would show it in {chance:g} % of cases if {percent} of all runs meet it"
 
 
 def _find(label: str, row: Mapping[str, Any], word: str, sentence: str) -> Finding:

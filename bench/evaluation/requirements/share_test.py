@@ -2,8 +2,8 @@
 
 A filter *meets* a requirement if the runs refute that the fraction of all runs that keep it is below
 ``share``, and *misses* it if they refute that it is above. Each word is wrong with a probability of at most
-``alpha``; in between the runs are *undecided*. A filter of which the fraction ``expected`` of all runs keep
-it shall be told "met" with a probability of 1 - ``beta``: that gives the number of runs.
+``alpha``; in between the runs are *undecided*. The number of runs is chosen so that a filter that keeps it in
+the fraction ``expected`` of all runs gets *met* with a probability of 1 - ``beta``.
 
 Sources: Clopper, Pearson, Biometrika 26, 1934, for a fixed number of runs. Wald, Annals of Mathematical
 Statistics 16, 1945, for runs that are added: a likelihood ratio to each side with the bound 1 / alpha holds
@@ -24,7 +24,7 @@ from bench.evaluation.ensembles.ensemble import Estimate, estimate_rate
 MET, MISSED, UNDECIDED = "met", "missed", "undecided"
 FIXED, SEQUENTIAL = "fixed", "sequential"
 
-_MOST_RUNS = 100_000  # that are thought of
+_MOST_RUNS = 100_000  # in the search for the number of runs
 _BLOCK = 500
 
 
@@ -32,10 +32,10 @@ _BLOCK = 500
 class ShareTest:
     """A required share of runs and the errors that its test may make."""
 
-    share: float = 0.95  # that has to keep the requirement
+    share: float = 0.95  # of the runs that must keep the requirement
     expected: float = 0.99  # of the runs of a filter that is good enough, above ``share``
     alpha: float = 0.05  # probability of a wrong "met", and of a wrong "missed"
-    beta: float = 0.1  # probability that a filter that is good enough is not told "met"
+    beta: float = 0.1  # probability that a filter that is good enough does not get "met"
     sequential: bool = False
 
     @classmethod
@@ -51,7 +51,7 @@ class ShareTest:
         return estimate_rate(count, n, 1.0 - 2.0 * self.alpha)
 
     def decide(self, kept: Sequence[bool]) -> tuple[str, int]:
-        """Return the verdict on runs in their order, and after how many of them it stands.
+        """Return the verdict on runs in their order, and the number of runs after which it is final.
 
         Examples
         --------
@@ -75,7 +75,7 @@ class ShareTest:
         return MET if met[ends[0]] >= enough else MISSED, int(ends[0]) + 1
 
     def count_least(self) -> int:
-        """Return the smallest number of runs that shows it if all keep it.
+        """Return the smallest number of runs that gives "met" if all of them keep the requirement.
 
         Examples
         --------
@@ -86,9 +86,9 @@ class ShareTest:
         return math.ceil(-math.log(self.alpha) / gain)
 
     def count_runs(self) -> int | None:
-        """Return the number of runs that tell a filter of the expected share "met" with 1 - beta.
+        """Return the number of runs that give "met" with 1 - beta for a filter with the expected share.
 
-        None for more than 100,000. With runs that are added it is the most that are needed so often.
+        None for more than 100,000. If runs are added one by one, fewer may do.
 
         Examples
         --------

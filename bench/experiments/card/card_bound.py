@@ -27,7 +27,7 @@ _UNKNOWN = ("airspeed", "odometer", "radar")
 def pool_bounds(profiles: Sequence[Profile]) -> tuple[dict[str, float], str]:
     """Return the smallest possible RMS errors over the runs of a flight, or why there are none.
 
-    Each run has its own truth; a topic that is without a bound in one has none.
+    Each run has its own truth. A topic without a bound in one run has none.
     """
     found = list(map(bound_errors_of, profiles))
     if without := next((text for errors, text in found if not errors), ""):
@@ -40,10 +40,10 @@ def pool_bounds(profiles: Sequence[Profile]) -> tuple[dict[str, float], str]:
 def bound_errors_of(profile: Profile) -> tuple[dict[str, float], str]:
     """Return the smallest possible RMS errors by topic [m, m/s, deg], or the reason why there are none.
 
-    The covariance is that of the flight and its sensors. What the linear model lacks counts as known, since
-    who knows more errs less: faults do not happen, a start is told, and an attitude beyond its range, found
-    by the course, or with an instrument for it on board has no error. Who stands still may know it, which is
-    more than the sensors tell.
+    The covariance follows from the flight and its sensors. Everything outside the linear model counts as
+    known, because knowledge can only make errors smaller: faults do not happen, and the initial state is
+    given. The attitude has no error if it is beyond the linear range, found from the course, or observed by
+    an instrument. A flight with a standstill has no bound, because a filter may assume the standstill.
     """
     on_board = profile.sensors
     if lacks := [name for name in _UNKNOWN if getattr(on_board, name) is not None]:

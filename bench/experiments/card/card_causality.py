@@ -1,8 +1,8 @@
 """The line of a card about the look-ahead of a filter.
 
-The hashes of all answers are known before. Then a run of each flight is drawn, so that a filter cannot know
-which, and repeated in a process of its own: its bits must equal the card. A filter that runs in pieces
-is fed what has arrived until each epoch; for another one, the data that arrive later change.
+The hashes of all solutions are stored first. Then a random run of each flight is repeated in a process of its
+own, and its bits must equal the stored ones. A filter that runs in pieces gets the data that have arrived
+until each epoch. For other filters, the data that arrive later are changed.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _BEGIN = 0.2  # of a record: its first part
 _BEFORE, _WELL_IN, _AFTER = 2.0, 0.3, 5.0  # an outage or a fault [s], part of it, and after it [s]
 _SHARE = 0.1  # of the epochs end a piece
 _AT_LATE = 3  # times at which answers in pieces differ
-_OTHER = 1 << 30  # noise of runs from this number on is on no card
+_OTHER = 1 << 30  # no card has the noise of a run from this number on
 
 
 def hash_all_answers(own: Rows) -> str:
@@ -56,7 +56,7 @@ def judge_causality(
     home = names.index(LATE) if LATE in names else 0
     (choice,) = (one for one in suite.profile_of(plan, home, 0).estimators if one.label == label)
     if choice.use.startswith("file:"):
-        return _make_line(names[home], "not proven, its answers were made elsewhere")
+        return _make_line(names[home], "not proven, its solution is a file")
     number = secrets.randbits(48) if number is None else number
     seed = int(hash_all_answers([row for rows in own for row in rows]), 16)
     audit, begun = _Audit(choice, np.random.default_rng([number, seed])), sum(os.times()[:4])
@@ -91,7 +91,7 @@ class _Audit:
         """Return what the runs show, in words."""
         told = [f"fed in pieces in {self.fed} runs"] if self.fed else []
         told += [f"other data after {self.instants} times in {self.changed} runs"] if self.changed else []
-        told += [f"in pieces it answers otherwise in {self.others} runs"] if self.others else []
+        told += [f"in pieces its solution differs in {self.others} runs"] if self.others else []
         chance = 100.0 * (1.0 - 0.9 ** (self.fed + self.changed))
         return f"{', '.join(told)}{self.place}; a look-ahead in 1 of 10 runs is found with {chance:.0f} %"
 
@@ -109,7 +109,7 @@ class _Audit:
             getattr(one, "close", lambda: None)()
 
     def examine(self, plan: Plan, suite: Suite, flight: int, own: Rows) -> tuple[float, str]:
-        """Return the look-ahead [s] in a random run of a flight, and in words; errors if it is not proven."""
+        """Return the look-ahead [s] in a random run of a flight, also in words; errors if not proven."""
         good = [k for k, row in enumerate(own) if row["converged"]] or list(range(len(own)))
         draw = int(self.rng.choice(good))
         profile = suite.profile_of(plan, flight, draw)
@@ -134,7 +134,7 @@ class _Audit:
             return 0.0, "no"
         spans = [*sensors.gnss_outages, *((fault.start, fault.end) for fault in sensors.faults)]
         instants = choose_instants(one.data, spans, self.rng)
-        if late:  # it looks ahead there, or is not the same in pieces
+        if late:  # it looks ahead there, or differs in pieces
             self.others += 1
             instants = [late[0], *self.rng.choice(late, min(len(late), _AT_LATE)).tolist(), *instants]
         self.changed, self.instants = self.changed + 1, self.instants + len(instants)
@@ -143,7 +143,7 @@ class _Audit:
             pipeline.sense(spec, truth, int(self.rng.integers(_OTHER, 2 * _OTHER))).data
             for spec in ([calm, profile] if spans else [profile])
         ]
-        with suppress(EstimatorFailedError):  # of a filter that cannot go on with such a jump
+        with suppress(EstimatorFailedError):  # the filter fails at the jump to another motion
             return measure_look_ahead(run, first, one.data, [reverse_values(one) for one in others], instants)
         return measure_look_ahead(run, first, one.data, others, instants)
 

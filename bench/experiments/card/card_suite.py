@@ -40,7 +40,7 @@ class Suite(CampaignSpec):
 
     members: tuple[SuiteFlight, ...] = ()
     draws: int = 8  # runs of each flight
-    draw_seed: int | None = None  # of all of them
+    draw_seed: int | None = None  # of all runs; None: the values of the suite
     runs: int = 1  # of a condition
 
     def conditions(self) -> Iterator[tuple[str, Values]]:
@@ -65,8 +65,8 @@ _WIND = 5.0  # largest [m/s]
 def vary_flight(flight: SuiteFlight, draw: int, seed: int | None = None) -> Values:
     """Return the values of a run of a flight: its own place, heading, wind and noise.
 
-    A filter that remembers the truth of a run so knows nothing of the next. Legs that turn to a heading turn
-    with the start. A seed draws others, and moves the times of faults and outages.
+    So a filter that remembers the truth of a run learns nothing about the next. Headings of legs turn with
+    the initial heading. A seed gives other values, and moves the times of faults and outages.
     """
     values = {**flight.values, **({} if seed is None else move_events(flight, seed))}
     document = _read_flight(flight)

@@ -243,19 +243,20 @@ class RequirementTable(Table):
     share: Annotated[float, between(0.01, 0.999)] = 0.95
     """Share of the runs of a campaign that has to keep it."""
     expected_share: Annotated[float, between(0.01, 0.9999)] | None = None
-    """Share that a good filter keeps, above `share`. Default: a fifth of the misses that `share` allows."""
+    """Fraction of the runs of a good filter within the limit, above `share`. Default: a fifth of the misses
+    that `share` allows."""
     alpha: Annotated[float, between(1e-6, 0.5)] = 0.05
     """Largest probability of a wrong "met", and of a wrong "missed"."""
     beta: Annotated[float, between(1e-6, 0.5)] = 0.1
-    """Probability that a good filter is not told "met" with the number of runs that bench advises."""
+    """Probability that a good filter does not get "met" with the number of runs that bench advises."""
     plan: Literal["fixed", "sequential"] = "fixed"
-    """"fixed": judge runs whose number was chosen before; "sequential": add runs until it is decided."""
+    """"fixed": the number of runs is chosen beforehand; "sequential": runs are added until it is decided."""
     estimator: str | None = None
     """Label of the only filter that has to. Default: all."""
     id: str | None = None
-    """Its number in your own documents, for the report and --junit."""
+    """Number of the requirement in your own documents, for the report and --junit."""
     text: str | None = None
-    """Its words there."""
+    """Text of the requirement there."""
 
 
 class AntennaTable(Table):

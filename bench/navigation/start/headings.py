@@ -115,7 +115,7 @@ class ManyHeadings(SessionState):
     def heading_lost_at(self) -> float | None:
         """Time of the first motion without a heading [s], or None (`piecewise.MayLoseHeading`).
 
-        That of the last hypothesis: which one is the best at the end of the data, later data tell.
+        The time of the hypothesis that loses it last, because later data can change which one is best.
         """
         lost = [cast("MayLoseHeading", one).heading_lost_at or np.inf for one in self.members]
         last = max(self.settled, *lost)

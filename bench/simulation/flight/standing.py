@@ -24,7 +24,7 @@ from bench.simulation.flight.turbulence.wind import set_wind
 _ABOVE = (10.0, 100.0)  # heights with the wheels off the ground, of small and large aircraft [ft]
 _DROP = 0.02  # from which it is let down on its wheels [m]
 _SETTLE = 30.0  # until gear and friction are at rest [s]
-_PATIENCE = 100  # times so long: at some headings the wheels creep until friction takes hold of them
+_PATIENCE = 100  # such periods: at some headings the wheels creep until friction holds them
 _AT_REST = 1e-5  # fastest motion of what is at rest [m/s]
 
 
