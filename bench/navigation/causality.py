@@ -132,7 +132,7 @@ def list_differing(one: NavSolution, its: IntArray, other: NavSolution, theirs: 
 
 
 def _list_due(solution: NavSolution) -> dict[tuple[float, str, str], float]:
-    """Return when each event, by start, kind, sensor, is due [s]: an alarm at its start, others at the end."""
+    """Return when each event is due [s], by start, kind and sensor: alarms at their start, others at end."""
     rows = [(*row, "") for row in solution.events.rows()]
     return {(t, kind, sensor): t if kind == "integrity" else end for t, end, kind, _, sensor, *_ in rows}
 
