@@ -48,7 +48,7 @@ def make_plan(count: int, choice: EstimatorChoice, draws: int = 1, **profile: An
 @pytest.mark.parametrize(
     ("count", "found", "told", "value", "word"),
     [
-        (1, {0: NO}, "zero: uses the future: no; fed in pieces in 1 runs; a look-ahead in 1 of 10", 0.0, ""),
+        (1, {0: NO}, "zero: uses the future: no; fed in pieces in 1 run; a look-ahead in 1 of 10", 0.0, ""),
         (4, dict.fromkeys(range(4), NO), "runs is found with 34 %; audit 11, 0 times", 0.0, ""),
         (4, {0: NO, 1: NO, 2: MORE, 3: SOME}, "the future: the whole record, on two; audit 11.", 2.0, ""),
         (4, {1: SOME}, f"{LATE}: uses the future: 0.4 s; audit 11.", 0.4, ""),

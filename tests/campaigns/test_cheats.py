@@ -211,7 +211,7 @@ def test_a_smoother_is_marked_and_files_prove_nothing(monkeypatch):
         if "ans" not in label
     ]
     assert told[0].sentence.startswith("plain: uses the future: the whole record; audit ")
-    assert told[1].sentence.startswith("plain: uses the future: no; fed in pieces in 1 runs; a look-ahead")
+    assert told[1].sentence.startswith("plain: uses the future: no; fed in pieces in 1 run; a look-ahead")
     files = judge_causality(plan, card_making.QUICK, labels[1], [[{"answers": "x"}]], 1.0)
     assert files.sentence == "plain: uses the future: not proven, its solution is a file."
     assert files.word == ""

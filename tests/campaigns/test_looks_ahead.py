@@ -99,7 +99,7 @@ def test_honest_filters_are_not_accused(use):
     for number in range(1 if use == "ukf" else 3):
         line = audit(use, number=number)
         assert (line.value, line.word) == (0.0, ""), line.sentence
-    how = "other data after" if ":" in use else "fed in pieces in 1 runs"
+    how = "other data after" if ":" in use else "fed in pieces in 1 run"
     assert how in line.sentence
     assert ("not confined" in line.sentence) == (":" in use)
 

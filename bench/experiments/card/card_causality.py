@@ -20,7 +20,7 @@ from bench import pipeline
 from bench.core.records.data import NavSolution, SensorData
 from bench.core.records.specs import EstimatorChoice
 from bench.core.words.exceptions import EstimatorError, EstimatorFailedError
-from bench.core.words.wording import one_line
+from bench.core.words.wording import format_count, one_line
 from bench.experiments.campaigns.plan import Plan
 from bench.experiments.campaigns.worker import hash_answers
 from bench.experiments.card.card_lines import UNPROVEN, Line, Rows
@@ -89,9 +89,11 @@ class _Audit:
 
     def describe(self) -> str:
         """Return what the runs show, in words."""
-        told = [f"fed in pieces in {self.fed} runs"] if self.fed else []
-        told += [f"other data after {self.instants} times in {self.changed} runs"] if self.changed else []
-        told += [f"in pieces its solution differs in {self.others} runs"] if self.others else []
+        fed, changed = format_count(self.fed, "run"), format_count(self.changed, "run")
+        told = [f"fed in pieces in {fed}"] if self.fed else []
+        told += [f"other data after {self.instants} times in {changed}"] if self.changed else []
+        if self.others:
+            told.append(f"in pieces its solution differs in {format_count(self.others, 'run')}")
         chance = 100.0 * (1.0 - 0.9 ** (self.fed + self.changed))
         return f"{', '.join(told)}{self.place}; a look-ahead in 1 of 10 runs is found with {chance:.0f} %"
 
