@@ -46,9 +46,6 @@ from bench.simulation.sensors import SensedPiece, sense_piece
 from bench.simulation.sensors.draws import SensorDraws
 from bench.simulation.signals.terrain import ground_at
 
-Watch = Callable[[Trajectory], object] | None
-"""Is given each piece of the truth before it is sensed."""
-
 
 @dataclass(frozen=True, slots=True)
 class ClosedFlight:
@@ -230,20 +227,17 @@ def fly(
     return ClosedFlight(truth, pilot.collect())
 
 
-def serve(
-    profile: Profile, run: int, session: Client, commands: Commands | None, watch: Watch = None
-) -> ServedFlight:
+def serve(profile: Profile, run: int, session: Client, commands: Commands | None) -> ServedFlight:
     """Fly a profile with guidance by the estimates of a client; errors as for :func:`fly`.
 
     With ``commands`` the legs are left out: the client flies. Without any estimate there are no answers.
-    ``watch`` is given each piece of the truth before it is sensed.
     """
     spec = profile.flight
     assert isinstance(spec, FlightSpec)
     if commands is not None:
         duration = find_length(profile)
         spec = replace(spec, legs=(Commanded(duration, commands),), duration=duration)
-    truth, pilot = _fly(replace(profile, flight=spec), run, session, None, watch)
+    truth, pilot = _fly(replace(profile, flight=spec), run, session, None)
     answers = pilot.collect() if session.estimates and pilot.answers else None
     failed = next((row[3] for row in pilot.events if row[2] == FAILED), "")
     return ServedFlight(truth, answers, session.ended or failed)
@@ -288,7 +282,6 @@ def _fly(
     run: int,
     navigator: Navigator,
     progress: Callable[[float], None] | None,
-    watch: Watch = None,
     show: ShowFlight | None = None,
 ) -> tuple[Trajectory, Pilot]:
     from bench.simulation import flight
@@ -300,7 +293,7 @@ def _fly(
     pieces = flight.fly_pieces(profile.flight, progress, guidance.period, belief)
     flown = list[Trajectory]()
     pilot = Pilot(guidance.navigation.use, navigator)
-    _follow(profile, run, _keep(pieces, flown, watch), belief, pilot, show)
+    _follow(profile, run, _keep(pieces, flown), belief, pilot, show)
     return join_pieces(flown), pilot
 
 
@@ -313,11 +306,9 @@ def replay(profile: Profile, truth: Trajectory, run: int = 0) -> NavSolution:
     return pilot.collect()
 
 
-def _keep(pieces: Iterable[Trajectory], flown: list[Trajectory], watch: Watch) -> Iterator[Trajectory]:
+def _keep(pieces: Iterable[Trajectory], flown: list[Trajectory]) -> Iterator[Trajectory]:
     for piece in pieces:
         flown.append(piece)
-        if watch is not None:
-            watch(piece)
         yield piece
 
 

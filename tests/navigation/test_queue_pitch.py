@@ -164,7 +164,7 @@ def test_elements_of_a_matrix_have_in_common_what_turns_and_leans_both_axes():
     specs = replace(spec.assumed, imu=replace(spec.imu, gyro=triad, accel=triad))
     model = state_model(drive(spec, 5, 0).initial, specs, [EVERY_ERROR])
     first = model.layout.slice("accel_matrix_x").start
-    drawn = np.array([imu._draw_matrix(triad, SensorDraws(9, run)).ravel() for run in range(4000)])
+    drawn = np.array([imu.draw_matrix(triad, SensorDraws(9, run)).ravel() for run in range(4000)])
     P, found = model.P[first : first + 9, first : first + 9], drawn.T @ drawn / len(drawn)
     sd = np.sqrt((np.outer(np.diag(P), np.diag(P)) + P**2) / len(drawn))
     assert np.all(np.abs(found - P) <= 4.0 * sd)  # 36 elements at 99.9 % each in all

@@ -42,7 +42,7 @@ from bench.navigation.models.loose_tight import Loose
 from bench.simulation.flight.legs.level import Straight
 from bench.simulation.flight.legs.turns import Turn
 from bench.views.report import page
-from tests.perf import closed
+from tests.perf import closed, hil
 from tests.perf.dense import EPOCHS, dense, epoch_costs
 
 ROUNDS = 7
@@ -460,7 +460,7 @@ def main() -> None:
         *starting(truth),
         *sensing(profile, truth),
         *flying(profile),
-        *(Figure(*row) for row in closed.measure()),
+        *(Figure(*row) for row in (*closed.measure(), *hil.measure())),
         *reporting(profile),
         *commands(),
         *compiling(),

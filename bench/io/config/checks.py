@@ -10,13 +10,14 @@ from typing import Any
 
 from bench.core.files.installed import find_installed
 from bench.core.records.instruments import INSTRUMENTS
-from bench.core.records.specs import AUTOPILOT, EstimatorChoice
+from bench.core.records.specs import AUTOPILOT, CLIENT, EstimatorChoice
 from bench.core.words.wording import quantity, suggest
 from bench.evaluation.requirements.required_metrics import is_metric
 from bench.io.config.profile_tables import ExperimentTable, RequirementTable
 from bench.navigation.built_in import BUILT_IN
 from bench.simulation.signals.magnetic import FIRST_YEAR, LAST_YEAR
 
+_TICKS = 20  # set-points of guidance a second
 LABEL = re.compile(r"[A-Za-z0-9_.-]{1,100}")
 """Label of a filter, a part of the names of its files."""
 
@@ -29,7 +30,13 @@ def check_rates(table: ExperimentTable, sensors: Mapping[str, Any]) -> list[str]
         if kind != "imu" and spec is not None
     }
     asked_rates["[evaluation] output_hz"] = table.evaluation.output_hz
-    return [
+    guidance = getattr(table, "guidance", None)
+    served = guidance is not None and guidance.navigation == CLIENT
+    wrong = []
+    if table.rate_hz % _TICKS and not served:
+        what = f"rate_hz = {table.rate_hz} Hz is for an autopilot of bench serve"
+        wrong.append(f"{what}; other flights need a multiple of {_TICKS} Hz")
+    return wrong + [
         f"{key} = {rate:g} Hz must divide rate_hz = {table.rate_hz} Hz"
         for key, rate in asked_rates.items()
         if abs(table.rate_hz / rate - round(table.rate_hz / rate)) > 1e-9

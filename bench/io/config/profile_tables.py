@@ -290,8 +290,8 @@ class ExperimentTable(Table):
 
     title: str | None = None
     """Title."""
-    rate_hz: Literal[100, 200, 400, 500, 1000] = 200
-    """Rate of truth and IMU."""
+    rate_hz: Literal[100, 200, 250, 400, 500, 1000] = 200
+    """Rate of truth and IMU; 250 is for autopilots of `bench serve`."""
     seed: Seed = 0
     """All noise follows from this number."""
     date: Date | None = None

@@ -124,8 +124,12 @@ def _open_socket(
 
 
 @contextlib.contextmanager
-def listen(host: str, port: int, say: Callable[[str], object]) -> Iterator[socket.socket]:
+def listen(
+    host: str, port: int, say: Callable[[str], object], *, udp: bool = False
+) -> Iterator[socket.socket]:
     """Provide a socket that waits for connections; call ``say`` with a message that contains its address.
+
+    With ``udp`` it waits for datagrams.
 
     Raises
     ------
@@ -133,13 +137,16 @@ def listen(host: str, port: int, say: Callable[[str], object]) -> Iterator[socke
         If the address cannot be used.
     """
     family, shown = (socket.AF_INET6, f"[{host}]") if ":" in host else (socket.AF_INET, host)
-    with socket.socket(family, socket.SOCK_STREAM) as server:
-        server.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    kind = "udp" if udp else "tcp"
+    with socket.socket(family, socket.SOCK_DGRAM if udp else socket.SOCK_STREAM) as server:
+        if not udp:  # else two programs could share the port
+            server.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             server.bind((host, port))
         except OSError as error:
-            raise OSError(error.errno, error.strerror, f"tcp {shown}:{port}") from None
-        server.listen(1)
+            raise OSError(error.errno, error.strerror, f"{kind} {shown}:{port}") from None
+        if not udp:
+            server.listen(1)
         say(f"waiting for a connection on {shown}:{server.getsockname()[1]}; Ctrl-C ends it")
         yield server
 

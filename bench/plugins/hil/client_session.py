@@ -14,7 +14,6 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Any, NoReturn
 
-from bench.core.records.data import InitialState, NavSolution, SensorData
 from bench.core.words.exceptions import EstimatorStoppedError
 from bench.io.streams.streaming import wait_until
 from bench.simulation.flight.guidance.steering import Commands
@@ -22,6 +21,30 @@ from bench.simulation.flight.guidance.steering import Commands
 _BLOCK = 1 << 16
 PATIENCE = 2.0  # for the last words to be sent, and for what the client still sends [s]
 ALONE = 2.0  # that a client has to begin in while another one waits [s]
+
+
+class FlightPace:
+    """The speed of a flight in relation to the clock."""
+
+    def __init__(self) -> None:
+        self._begun = math.nan
+        self.latest = 0.0
+        """Largest delay behind the rate [s]."""
+
+    def keep(self, t: float, rate: float) -> None:
+        """Wait until the flight may continue from a time [s] at a rate."""
+        now = time.monotonic()
+        if math.isnan(self._begun):
+            self._begun = now - t / rate
+        due = self._begun + t / rate
+        late = now - due
+        self.latest = max(self.latest, late)
+        self._begun += max(late, 0.0)  # what was lost is not made up by flying faster
+        wait_until(due)
+
+    def forget(self) -> None:
+        """Begin anew: what has been waited for until now is no delay."""
+        self._begun = math.nan
 
 
 class ClientSession(ABC):
@@ -45,21 +68,9 @@ class ClientSession(ABC):
         self._line: socket.socket | None = None
         self._come = list[Any]()
         self._begins_until: float | None = None  # no other one is looked at until then; None: it has begun
-        self._begun = math.nan
-        self.latest = 0.0
-        """Largest delay behind the rate [s]."""
-        self.estimates = 0
-        """How many the client gave."""
-        self.ended = ""
-        """Why the session was ended, in words."""
-
-    @abstractmethod
-    def answer(self, data: SensorData, initial: InitialState, end: float) -> NavSolution:
-        """Send the data that arrived by a time [s]; return the estimate of the client, or NaN."""
-
-    def recount(self) -> list[NavSolution]:
-        """Return an empty list: a client does not report innovations and events."""
-        return []
+        self.pace = FlightPace()
+        self.ended, self.closed = "", False
+        """Why the session was ended, in words, and whether the client has closed it."""
 
     @abstractmethod
     def begin(self) -> None:
@@ -88,6 +99,7 @@ class ClientSession(ABC):
             say(f"a client has come from {address[0]}")
             self._line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             self._come.clear()
+            self.closed = False
             self._begins_until = time.monotonic() + ALONE
             try:
                 self.begin()
@@ -122,7 +134,7 @@ class ClientSession(ABC):
         except TimeoutError:
             self.refuse(f"has taken nothing for {self.patience:g} s")
         except OSError:
-            self.refuse("has closed the connection")
+            self._lose()
 
     def receive(self) -> Any:
         """Return the next message; a client that is silent is rejected."""
@@ -158,22 +170,15 @@ class ClientSession(ABC):
         self._come.clear()
         return found
 
-    def keep_pace(self, t: float, rate: float) -> None:
-        """Wait until the flight may continue from a time [s] at a rate."""
-        now = time.monotonic()
-        if math.isnan(self._begun):
-            self._begun = now - t / rate
-        due = self._begun + t / rate
-        late = now - due
-        self.latest = max(self.latest, late)
-        self._begun += max(late, 0.0)  # what was lost is not made up by flying faster
-        wait_until(due)
-
     def refuse(self, what: str) -> NoReturn:
         """End the session because of an error of the client, in words that follow "the client"."""
         self.ended = self.commands.ended = text = f"the client {what}"
         self.close(text, good=False)
         raise EstimatorStoppedError(text)
+
+    def _lose(self, where: str = "") -> NoReturn:
+        self.closed = True
+        self.refuse(f"has closed the connection{where}")
 
     def _read(self) -> None:
         assert self._line is not None
@@ -182,8 +187,7 @@ class ClientSession(ABC):
         except OSError:
             data = b""
         if not data:
-            where = " in the middle of a message" if self.inside else ""
-            self.refuse(f"has closed the connection{where}")
+            self._lose(" in the middle of a message" if self.inside else "")
         try:
             self._come = self.read(data)[::-1] + self._come
         except ValueError as error:

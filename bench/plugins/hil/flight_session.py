@@ -56,6 +56,12 @@ class FlightSession(ClientSession):
         self._facts, self._steers = facts, steers
         self._told = False
         self._out, self._number = bytearray(), 0
+        self.estimates = 0
+        """How many the client gave."""
+
+    def recount(self) -> list[NavSolution]:
+        """Return an empty list: a client does not report innovations and events."""
+        return []
 
     def begin(self) -> None:
         """Process the HELLO of the client."""
@@ -120,7 +126,7 @@ class FlightSession(ClientSession):
                 self.refuse(f"sent {frame.name} as an answer; that is for the begin")
         self._check_time(frame, self._check(frame)[0], end)
         if self.rate:
-            self.keep_pace(end, self.rate)
+            self.pace.keep(end, self.rate)
         return found
 
     # --- what is sent

@@ -57,9 +57,20 @@ PUBLIC = "bench.plugins.hil.serving"
     help="the client is an autopilot such as PX4 that moves the controls, port 4560",
 )
 @click.option(
+    "--ardupilot", is_flag=True, help="the client is ArduPilot's SITL with its JSON interface, UDP port 9002"
+)
+@click.option(
     "--channels",
     metavar="LIST",
-    help="controls that the autopilot moves  [default: aileron=-6,elevator=-8,rudder=-3,throttle=5]",
+    help="controls that the autopilot moves  [default: aileron=-6,elevator=-8,rudder=-3,throttle=5; "
+    "ArduPilot: aileron=1,elevator=-2,rudder=-4,throttle=3]",
+)
+@click.option(
+    "--undulation",
+    type=float,
+    default=0.0,
+    metavar="M",
+    help="height of the geoid above the ellipsoid, for an autopilot's heights above mean sea level",
 )
 @click.option("--truth", is_flag=True, help="also send the truth to the client: HIL_STATE_QUATERNION")
 @out_option("folder for the results  [default: runs/<profile>-<seed>-served]")
@@ -76,6 +87,7 @@ def serve(
     bind: str,
     gives: str | None,
     mavlink: bool,
+    ardupilot: bool,
     channels: str | None,
     as_json: bool,
     strict: bool,
@@ -92,21 +104,26 @@ def serve(
       bench serve approach-closed
       bench serve approach-closed --set guidance.period_s=0.05 --rate 1
       bench serve s-turns --give commands --set duration_s=120
-      bench serve s-turns --mavlink --set duration_s=120
+      bench serve s-turns --mavlink --set duration_s=120 --set rate_hz=250
+      bench serve s-turns --ardupilot --set duration_s=120 --set rate_hz=400
     """
-    if mavlink and gives == "estimate":
-        raise click.UsageError("--mavlink takes commands: leave --give estimate out")
-    if channels is not None and not mavlink:
-        raise click.UsageError("--channels goes with --mavlink")
-    from bench.plugins.hil.mavlink_session import PORT, ActuatorChannels
+    if mavlink and ardupilot:
+        raise click.UsageError("--mavlink and --ardupilot: one autopilot at a time")
+    if (mavlink or ardupilot) and gives == "estimate":
+        raise click.UsageError("an autopilot gives commands: leave --give estimate out")
+    if not (mavlink or ardupilot) and (channels is not None or options["undulation"]):
+        raise click.UsageError("--channels and --undulation go with --mavlink or --ardupilot")
+    from bench.plugins.hil import json_session, mavlink_session
+    from bench.plugins.hil.actuator_channels import ARDUPILOT, ActuatorChannels
 
-    session = {key: options.pop(key) for key in ("remote", "rate", "patience", "truth")}
-    session |= {
-        "gives": gives or "estimate",
-        "mavlink": ActuatorChannels.parse(channels or "") if mavlink else None,
-    }
+    session = {key: options.pop(key) for key in ("remote", "rate", "patience", "truth", "undulation")}
+    session["gives"] = gives or "estimate"
+    if mavlink:
+        session["mavlink"] = ActuatorChannels.parse(channels or "")
+    if ardupilot:
+        session["ardupilot"] = ActuatorChannels.parse(channels or "", ARDUPILOT, json_session.CHANNELS)
     if port is None:
-        port = PORT if mavlink else 5700
+        port = mavlink_session.PORT if mavlink else json_session.PORT if ardupilot else 5700
     session["address"] = f"[{bind}]:{port}" if ":" in bind else f"{bind}:{port}"
     result, ended = _fly(profile, console=new_console(stderr=as_json), session=session, **options)
     if as_json:
@@ -139,7 +156,7 @@ def _fly(
     from bench.plugins.hil.served import load_served
 
     flight_verbs.find_own_estimators()
-    profile = load_served(name, overrides, mavlink=session["mavlink"] is not None, **profile_options)
+    profile = load_served(name, overrides, **profile_options)
     folder = out or flight_verbs.RUNS / f"{profile.name}-{profile.seed}-served"
     results.check_folder(folder, force=force)
     console.print(

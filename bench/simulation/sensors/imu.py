@@ -22,7 +22,7 @@ from bench.simulation.sensors import imu_terms, vibration
 from bench.simulation.sensors.draws import SensorDraws
 from bench.simulation.sensors.processes import choose_bias_stages
 
-_BIAS_STEP = 0.05  # step of bias processes slower than _FAST, with linear interpolation [s]
+BIAS_STEP = 0.05  # step of bias processes slower than _FAST, with linear interpolation [s]
 _FAST = 1.0  # a bias stage with a shorter correlation time has a step at every sample [s]
 
 
@@ -113,7 +113,7 @@ def measure(truth: Trajectory, spec: ImuSpec, draws: SensorDraws) -> tuple[ImuDa
         N = imu_terms.cone_axes(spec.accel_cone) if spec.accel_cone > 0 else np.eye(3)
         arms = np.array(spec.accel_arms) if spec.accel_arms else None
         force = imu_terms.resolve_along_axes(dtheta_b, dvel_b, dt, arms, N, draws)
-    slow_rows = _select_knots(t, _BIAS_STEP)
+    slow_rows = select_knots(t, BIAS_STEP)
     warmth = np.empty(0)  # above the reference temperature [K]
     if max(spec.gyro.temperature_sd, spec.accel.temperature_sd) > 0:
         before = draws.keep("temperature", list[float])
@@ -138,8 +138,8 @@ def _measure_triad(
     slow_rows: IntArray, warmth: FloatArray, draws: SensorDraws, valid: BoolArray,
 ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
     """Return the measured increments (N-1, 3) and the bias at ``slow_rows``; clear ``valid`` if clipped."""
-    M = draws.keep("M", lambda: _draw_matrix(spec, draws))
-    knots, bias = _draw_bias(t, spec, slow_rows, warmth, draws)
+    M = draws.keep("M", lambda: draw_matrix(spec, draws))
+    knots, bias = draw_bias(t, spec, slow_rows, warmth, draws)
     increment = imu_terms.apply_response(t, motion, spec, draws)
     motion_errors = imu_terms.draw_motion_errors(t, increment, dvel_b, spec, draws)
     out, rest = disk_arrays.empty(increment.shape), draws.keep("rest", lambda: np.zeros(3))
@@ -157,7 +157,7 @@ def _measure_triad(
     return out, bias if knots is slow_rows else bias[slow_rows]  # else a knot is at every row
 
 
-def _draw_matrix(spec: TriadSpec, draws: SensorDraws) -> FloatArray:
+def draw_matrix(spec: TriadSpec, draws: SensorDraws) -> FloatArray:
     """Draw the matrix M (3, 3) of scale factors and misalignments."""
     M = np.zeros((3, 3))
     if spec.scale_factor_sd > 0:
@@ -167,7 +167,7 @@ def _draw_matrix(spec: TriadSpec, draws: SensorDraws) -> FloatArray:
     return M + imu_terms.draw_cross_axis(spec, draws)
 
 
-def _draw_bias(
+def draw_bias(
     t: FloatArray, spec: TriadSpec, slow_rows: IntArray, warmth: FloatArray, draws: SensorDraws
 ) -> tuple[IntArray, FloatArray]:
     """Draw the bias of a triad; return rows of t that include ``slow_rows``, and the bias (B, 3) there.
@@ -220,10 +220,10 @@ def _intervals(t: FloatArray, new: bool) -> FloatArray:
 def choose_bias_step(spec: TriadSpec, interval: float) -> float:
     """Return the interval between the epochs of the simulated biases of a triad [s]."""
     fast = spec.bias_instability > 0 and choose_bias_stages(spec)[0].min() < _FAST
-    return interval if fast else max(1, round(_BIAS_STEP / interval)) * interval
+    return interval if fast else max(1, round(BIAS_STEP / interval)) * interval
 
 
-def _select_knots(t: FloatArray, step: float) -> IntArray:
+def select_knots(t: FloatArray, step: float) -> IntArray:
     """Return rows of t about ``step`` seconds apart, with the first and the last."""
     stride = max(1, round(step / (t[1] - t[0])))
     rows = np.arange(0, len(t) - 1 + stride, stride)

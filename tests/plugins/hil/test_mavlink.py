@@ -16,8 +16,12 @@ from pymavlink.dialects.v20 import common as dialect
 
 from bench.core.mathematics import rotation
 from bench.core.words.exceptions import ConfigError
+from bench.navigation.engine.kept_rows import take_rows
 from bench.plugins.hil import serving
-from bench.plugins.hil.mavlink_session import ActuatorChannels, MavlinkSession
+from bench.plugins.hil.actuator_channels import ActuatorChannels
+from bench.plugins.hil.autopilot_flight import Sample
+from bench.plugins.hil.mavlink_session import MavlinkSession
+from bench.plugins.hil.sample_motion import SampleMotion
 from bench.simulation.flight.guidance.steering import Commands
 from tests.plugins.hil.test_serve import Server, write_straight
 
@@ -162,7 +166,7 @@ def flown(path):
     autopilot = Autopilot(server.port)
     served = server.join()
     autopilot.join(5.0)
-    return served.result.sensed, autopilot
+    return served.result.sensed, autopilot, served.result.truth
 
 
 def test_fixes_and_truth_come_just_before_the_first_sample_at_their_arrival(flown):
@@ -190,14 +194,24 @@ def test_without_a_barometer_the_air_is_that_at_the_height_of_the_start(flown):
     assert not (updated & 0x1A00).any()
 
 
-def talk(data, initial):
-    """Give a record to an autopilot in one turn; return what it was told, by kind."""
+def talk(data, truth):
+    """Give a record to an autopilot sample by sample; return what it was told, by kind."""
+    fixes = data.fixes
     with socket.create_server(("127.0.0.1", 0)) as server:
         autopilot = Autopilot(server.getsockname()[1])
         options = {"channels": ActuatorChannels(), "truth": False, "alt": 1200.0}
-        session = MavlinkSession(server, Commands(), 0.0, 5.0, **options)
+        session = MavlinkSession(server, Commands(), 100.0, 5.0, **options)
         session.wait(lambda text: None)
-        session.answer(data, initial, 2.0)
+        for k in range(len(data.imu.t)):
+            come = [
+                (name, record, row)
+                for name, record in (("mag", data.mag), ("fixes", fixes))
+                for row in range(len(record.t))
+                if find_sample(data.imu, record.t_arrival[row]) == k
+            ]
+            motion = SampleMotion(*(getattr(truth, name)[k + 1] for name in ("t", "lla", "vel_n", "q_nb")),
+                                  truth.dtheta_b[k], truth.dvel_b[k])  # fmt: skip
+            session.exchange(Sample(motion, np.zeros(14), take_rows(data.imu, slice(k, k + 1)), come))
         session.close("over", good=True)
     autopilot.join(5.0)
     return autopilot.told
@@ -209,12 +223,12 @@ def test_a_sample_of_the_imu_that_does_not_count_is_not_sent(flown):
     kept[90:111] = kept[195:] = False
     increments = (np.where(kept[:, None], one, np.nan) for one in (data.imu.dtheta_b, data.imu.dvel_b))
     imu = replace(data.imu, **dict(zip(("dtheta_b", "dvel_b"), increments, strict=True)), valid=kept)
-    gave = talk(replace(data, imu=imu), flown[0].initial)
+    gave = talk(replace(data, imu=imu), flown[2])
     told = gave["HIL_SENSOR"]
     assert_allclose(times(told, "HIL_SENSOR"), imu.t[kept], atol=1e-6)
     assert np.isfinite(columns(told, "xacc", "ygyro")).all()
     assert told[90].fields_updated & 0x1C0
-    assert len(gave["HIL_GPS"]) == len(data.fixes.t)
+    assert len(gave["HIL_GPS"]) == (data.fixes.t_arrival <= 2.0 + 1e-9).sum()
 
 
 def test_a_fix_that_is_not_whole_is_told_as_none(flown):
@@ -224,8 +238,8 @@ def test_a_fix_that_is_not_whole_is_told_as_none(flown):
     vel_n, cov, lla = fixes.vel_n.copy(), fixes.cov_pos_n.copy(), fixes.lla.copy()
     vel_n[0], vel_n[1, 2], lla[2, 0], cov[3, 1, 1] = np.nan, np.nan, np.inf, np.nan
     data = replace(sensed.data, fixes=replace(fixes, vel_n=vel_n, lla=lla, cov_pos_n=cov))
-    told = talk(data, sensed.initial)["HIL_GPS"]
-    assert len(told) == len(fixes.t)
+    told = talk(data, flown[2])["HIL_GPS"]
+    assert len(told) == (fixes.t_arrival <= 2.0 + 1e-9).sum()
     assert [one.fix_type for one in told[:5]] == [0, 0, 0, 3, 3]
     assert_array_equal(columns(told[:3], "lat", "lon", "vn", "vd", "vel"), 0)
     assert (told[3].eph, told[3].epv) == (65534, 65534)
@@ -289,13 +303,16 @@ def test_until_it_commands_the_aircraft_holds_and_time_is_real(path):
 def test_what_an_autopilot_does_wrong_ends_the_flight_with_a_line(controls, words, path):
     class Wrong(Autopilot):
         def steer(self, t, dt, sensed):
-            if isinstance(controls, list):
+            if controls and t < 1.0:
+                super().steer(t, dt, sensed)
+            elif isinstance(controls, list):
+                self._controls = controls
                 super().steer(t, dt, sensed)
             elif controls:
                 self._line.sendall(controls)
 
     server = serve(path, 20.0, patience=0.5)
-    autopilot = Wrong(server.port, controls if isinstance(controls, list) else None)
+    autopilot = Wrong(server.port)
     served = server.join()
     autopilot.join(5.0)
     assert served.ended.endswith(words)
@@ -326,19 +343,19 @@ class Stubborn(Autopilot):
 @pytest.mark.parametrize(
     ("until", "beats", "words"),
     [
-        (0.0, True, "the client has sent no HIL_ACTUATOR_CONTROLS for 0.5 s"),
-        (1.0, True, "the client has not answered a HIL_SENSOR for 0.5 s"),
-        (1.0, False, "the client has been silent for 0.5 s"),
+        (0.0, True, "the client has sent no HIL_ACTUATOR_CONTROLS for 2 s"),
+        (1.0, True, "the client has not answered a HIL_SENSOR for 2 s"),
+        (1.0, False, "the client has not answered a HIL_SENSOR for 2 s"),
     ],
 )
 def test_who_floods_or_is_silent_holds_the_flight_for_no_longer_than_the_patience(until, beats, words, path):
-    server = serve(path, 20.0, patience=0.5)
+    server = serve(path, 20.0, patience=2.0)
     begun = time.monotonic()
     autopilot = Stubborn(server.port, until, beats=beats)
     served = server.join()
     autopilot.join(5.0)
     assert served.ended.endswith(words)
-    assert 0.1 < served.flown < 1.5  # turns of 50 ms went on
+    assert 0.1 < served.flown < 2.5
     assert time.monotonic() - begun < 20.0
 
 
@@ -353,13 +370,13 @@ def test_who_floods_without_a_heartbeat_is_sent_away(path):
 
 
 def test_the_patience_of_the_boot_does_not_count_the_loading_of_the_flight(path, monkeypatch):
-    fly = serving.closed_loop.serve
+    fly = serving.autopilot_flight.fly
 
     def load_slowly(*args):
         time.sleep(0.7)
         return fly(*args)
 
-    monkeypatch.setattr(serving.closed_loop, "serve", load_slowly)
+    monkeypatch.setattr(serving.autopilot_flight, "fly", load_slowly)
     server = serve(path, 1.5, patience=0.5)
     Autopilot(server.port)
     assert server.join().ended == ""

@@ -29,9 +29,10 @@ from bench.io import config
 from bench.io.streams.frames import make_frames
 from bench.pipeline import closed_loop
 from bench.plugins.hil import flight_client, serving
+from bench.plugins.hil.actuator_channels import ActuatorChannels
 from bench.plugins.hil.client_session import ClientSession
 from bench.plugins.hil.flight_client import FlightClient
-from bench.plugins.hil.mavlink_session import ActuatorChannels
+from bench.plugins.hil.mavlink_session import MavlinkSession
 from tests.exchange.test_stream import crc16, decoded
 from tests.test_closed_loop import PROFILE
 
@@ -430,7 +431,7 @@ def test_the_commands_of_the_guide_and_the_help_are_right(tmp_path, monkeypatch,
     assert len(found) >= 4
 
 
-def stop(*_):
+def stop(*_, **__):
     raise ConfigError("would wait")
 
 
@@ -453,7 +454,7 @@ def test_legs_that_do_not_fit_their_duration_are_refused_before_a_client_comes(p
 
 @pytest.mark.parametrize("mavlink", [None, ActuatorChannels()])
 def test_from_python_a_profile_is_served_as_by_the_verb(mavlink, monkeypatch):
-    """`approach-closed` is flown by a filter at turns of 0.2 s; an autopilot has turns of 50 ms."""
+    """`approach-closed` is flown by a filter at turns of 0.2 s."""
     flown = []
 
     def fly(profile, *_):
@@ -461,7 +462,9 @@ def test_from_python_a_profile_is_served_as_by_the_verb(mavlink, monkeypatch):
         raise ConfigError("it would fly")
 
     monkeypatch.setattr(closed_loop, "serve", fly)
+    monkeypatch.setattr(serving.autopilot_flight, "fly", fly)
     monkeypatch.setattr(ClientSession, "wait", lambda self, say: None)
+    monkeypatch.setattr(MavlinkSession, "wait", lambda self, say: None)
     options = [] if mavlink is None else ["--mavlink", "--set", "duration_s=120"]
     overrides = None if mavlink is None else {"duration_s": 120.0}
     with pytest.raises(ConfigError, match="it would fly"):
@@ -471,4 +474,3 @@ def test_from_python_a_profile_is_served_as_by_the_verb(mavlink, monkeypatch):
     by_python, by_verb = flown
     assert by_python == by_verb
     assert (by_python.guidance.navigation.use, by_python.seed) == ("client", 3)
-    assert by_python.guidance.period == (0.2 if mavlink is None else 0.05)
