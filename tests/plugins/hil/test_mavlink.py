@@ -246,6 +246,66 @@ def test_a_fix_that_is_not_whole_is_told_as_none(flown):
     assert max(told[4].eph, told[4].epv) < 2000
 
 
+def test_heights_are_above_mean_sea_level_and_samples_come_at_250_hz(path):
+    """The geoid of Innsbruck is 47 m above the ellipsoid: heights are lower by that."""
+    changes = {"rate_hz": 250, "duration_s": 1.2, "sensors.mag": None}
+    server = Server(path, changes, mavlink=ActuatorChannels(), undulation=47.0, truth=True)
+    autopilot = Autopilot(server.port)
+    served = server.join()
+    autopilot.join(5.0)
+    told, truth, data = autopilot.told, served.result.truth, served.result.sensed.data
+    assert_allclose(times(told["HIL_SENSOR"], "HIL_SENSOR"), np.arange(1, 301) / 250.0, atol=1e-6)
+    rates = columns(told["HIL_SENSOR"], "xgyro", "ygyro", "zgyro")
+    assert_allclose(rates[:300], data.imu.dtheta_b[:300] * 250.0, rtol=1e-6, atol=1e-7)
+    assert_allclose(columns(told["HIL_GPS"], "alt")[:, 0] * 1e-3, data.fixes.lla[:, 2] - 47.0, atol=0.6e-3)
+    state = columns(told["HIL_STATE_QUATERNION"], "time_usec", "alt") * [1e-6, 1e-3]
+    rows = np.searchsorted(truth.t, state[:, 0] - 1e-6)
+    assert_allclose(state[:, 1], truth.lla[rows, 2] - 47.0, atol=0.6e-3)
+
+
+class Rebooting(Autopilot):
+    """Closes in the middle of its boot."""
+
+    def steer(self, t, dt, sensed):
+        if t > 0.3:
+            self._line.shutdown(socket.SHUT_RDWR)
+
+
+def test_an_autopilot_that_reboots_before_it_commands_finds_the_flight_again(path):
+    server = serve(path, 1.5)
+    first = Rebooting(server.port)
+    first.join(10.0)
+    assert server.listen() == "the client has closed the connection; waiting 20 s for another"
+    second = Autopilot(server.port)
+    served = server.join()
+    second.join(5.0)
+    assert (served.ended, served.flown) == ("", 1.5)
+    assert second.told["HIL_SENSOR"][0].time_usec > first.told["HIL_SENSOR"][-2].time_usec
+
+
+def test_one_that_does_not_come_back_ends_the_flight(path):
+    server = serve(path, 20.0, patience=0.5)
+    Rebooting(server.port).join(10.0)
+    assert server.join().ended == "the client has not come back for 0.5 s"
+
+
+class Dull(Autopilot):
+    """Leaves two samples of the lock-step without an answer."""
+
+    def steer(self, t, dt, sensed):
+        if round(100.0 * t) not in (100, 101):
+            super().steer(t, dt, sensed)
+
+
+def test_a_sample_without_an_answer_does_not_stop_the_flight(path):
+    server = serve(path, 1.5)
+    autopilot = Dull(server.port)
+    served = server.join()
+    autopilot.join(5.0)
+    assert (served.ended, served.flown) == ("", 1.5)
+    assert server.listen() == "2 of the HIL_SENSOR stayed without an answer"
+
+
 class Late(Autopilot):
     """Reads nothing for a while, then needs long; ``unread`` is how many bytes wait when it answers."""
 
