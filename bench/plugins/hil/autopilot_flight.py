@@ -139,7 +139,8 @@ def _fly_once(profile: Profile, run: int, autopilot: Autopilot) -> closed_loop.S
     imu = SampledImu(sensors.imu, sensors.faults, SensorDraws(profile.seed, run), rate)
     aiding = _Aiding(sensors, SensorDraws(profile.seed, run)) if autopilot.aided else None
     samples = flight.fly()
-    imu.begin(*next(samples))
+    if (first := next(samples, None)) is not None:
+        imu.begin(*first)
     for motion, air in samples:
         if aiding is not None and aiding.is_due(motion.t):
             aiding.measure(flight.cut())

@@ -127,6 +127,8 @@ def serve(
         raise ConfigError("bench.serve: with a profile already read, seed and overrides change nothing")
     _check(profile, rate, patience, undulation)
     pipeline.build_estimators(profile)  # fails before a client comes
+    if mavlink is not None and ardupilot is not None:
+        raise ConfigError("--mavlink and --ardupilot: one autopilot at a time")
     if truth and mavlink is None:
         raise ConfigError("--truth needs --mavlink: the messages of bench contain no truth")
     where, spec = parse_address(f"--bind {address}", address, remote=remote), profile.flight

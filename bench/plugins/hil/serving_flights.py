@@ -107,8 +107,6 @@ def serve(
       bench serve s-turns --mavlink --set duration_s=120 --set rate_hz=250
       bench serve s-turns --ardupilot --set duration_s=120 --set rate_hz=400
     """
-    if mavlink and ardupilot:
-        raise click.UsageError("--mavlink and --ardupilot: one autopilot at a time")
     if (mavlink or ardupilot) and gives == "estimate":
         raise click.UsageError("an autopilot gives commands: leave --give estimate out")
     if not (mavlink or ardupilot) and (channels is not None or options["undulation"]):

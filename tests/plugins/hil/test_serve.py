@@ -411,6 +411,7 @@ def _fly_high(port):
         ({"rate": math.nan}, "must not be negative"),
         ({"patience": 0.0}, "must be above 0"),
         ({"truth": True}, "--truth needs --mavlink"),
+        ({"mavlink": ActuatorChannels(), "ardupilot": ActuatorChannels()}, "one autopilot at a time"),
     ],
 )
 def test_wrong_options_are_refused_before_a_client_comes(options, message, path):
