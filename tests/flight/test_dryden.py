@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from scipy.linalg import expm
+from scipy.stats import chi2
 
 from bench.core.mathematics.random_streams import stream
+from bench.core.records.flight_specs import MULTIROTOR
 from bench.io.config import read_profile
 from bench.simulation.flight import fly
 from bench.simulation.flight.executive import load_aircraft
@@ -19,6 +21,7 @@ from bench.simulation.flight.turbulence.dryden import (
     GUSTS,
     RATES,
     GustFilters,
+    carrying_speed,
     discretize_chain,
     scales_and_intensities,
     through_turbulence,
@@ -130,12 +133,14 @@ class Still:
     def run(self):
         return True
 
-    def gusts(self, seed, seconds, dt=0.01, severity=4):
-        """(T, 6) along north, east, down [m/s] and p, q, r [rad/s]."""
-        spec = plan(Straight(1.0), severity=severity, turbulence_seed=seed, heading=0.0)
+    def gusts(self, seed, seconds, dt=0.01, severity=4, aircraft=AEROSONDE, speed=None):
+        """(T, 6) along north, east, down [m/s] and p, q, r [rad/s]; speed(t): over ground to the north."""
+        spec = plan(Straight(1.0), severity=severity, turbulence_seed=seed, heading=0.0, aircraft=aircraft)
         step = through_turbulence(self, spec, dt)
         rows = []
-        for _ in range(round(seconds / dt)):
+        for k in range(round(seconds / dt)):
+            if speed is not None:
+                self.values["velocities/v-north-fps"] = speed(k * dt) / FT
             step()
             rows.append([self.values[name] for name in self.names])
         return np.array(rows) * [FT, FT, FT, 1.0, 1.0, 1.0]
@@ -173,6 +178,58 @@ def test_the_field_is_frozen_in_the_air_and_stands_when_the_aircraft_does():
     parked = Still(50.0, 0.0, np.array([-8.0, 0.0, 0.0]))
     parked.values |= {f"velocities/v-{axis}-fps": 0.0 for axis in ("north", "east", "down")}
     assert np.abs(parked.gusts(1, 2.0)[:, :3]).max() > 0.1  # the wind carries it past
+
+
+# --- what hovers --------------------------------------------------------------------------------------
+
+
+HOVERER = replace(AEROSONDE, kind=MULTIROTOR)
+
+
+def test_gusts_in_a_hover_live_with_the_variance_of_the_standard():
+    """No wind, no motion: 120 values 25 s apart (six scales) of u, v and w; band of 99.9 % for the three."""
+    gusts = Still(10.0, 0.0, np.zeros(3)).gusts(2, 3025.0, dt=0.05, aircraft=HOVERER)[500::500, :3]
+    _, _, sigma_u, sigma_w = scales_and_intensities(10.0, 4)
+    found = (gusts**2).sum(axis=0) / np.square([sigma_u, sigma_u, sigma_w])
+    low, high = chi2.ppf([0.001 / 6, 1 - 0.001 / 6], len(gusts))
+    assert (found > low).all()
+    assert (found < high).all()
+
+
+def largest_step_of_a_reversal(aircraft, severity):
+    """From 20 m/s northbound to 20 m/s southbound in 8 s, ten draws: largest change in 50 ms [m/s]."""
+    worst = 0.0
+    for seed in range(10):
+        air = Still(30.0, 20.0, np.zeros(3))
+        rows = air.gusts(seed, 60.0, dt=0.05, severity=severity, aircraft=aircraft, speed=reverse)
+        worst = max(worst, float(np.abs(np.diff(rows[:, :2], axis=0)).max()))
+    return worst
+
+
+def reverse(t):
+    return 20.0 - 5.0 * min(max(t - 40.0, 0.0), 8.0)
+
+
+@pytest.mark.parametrize("severity", [3, 4])
+def test_a_reversal_throws_no_gust_round(severity):
+    """Axes that follow the path through the air do, which the wings keep: more than 4 m/s at once."""
+    assert largest_step_of_a_reversal(HOVERER, severity) < 4.0
+    assert largest_step_of_a_reversal(AEROSONDE, severity) > 4.0
+
+
+def test_in_forward_flight_what_hovers_meets_the_air_of_the_wings():
+    """Above the wind at 20 ft; in a hover the axes come to lie along the wind, against what blows."""
+    wings, rotors = (
+        Still(60.0, 20.0, np.zeros(3)).gusts(3, 20.0, aircraft=one) for one in (AEROSONDE, HOVERER)
+    )
+    assert_allclose(rotors, wings, atol=1e-9)
+    wind = np.array([0.0, -4.0, 0.0])
+    hover, north = Still(60.0, 0.0, wind), Still(60.0, carrying_speed(4), np.zeros(3))
+    hover.values |= {f"velocities/v-{axis}-fps": 0.0 for axis in ("north", "east", "down")}
+    upwind = hover.gusts(3, 20.0, aircraft=HOVERER)[200:]  # 90 deg to the east, which takes a second
+    along = north.gusts(3, 20.0, aircraft=HOVERER)[200:]
+    assert_allclose(upwind[:, 1], along[:, 0], atol=1e-9)
+    assert_allclose(upwind[:, 0], -along[:, 1], atol=1e-9)
 
 
 def test_u_is_along_the_path_through_the_air_whatever_the_wind():

@@ -13,8 +13,11 @@ from bench.core.records.fields import declared, figure
 SECONDS = (0.1, 86400)  # shortest and longest duration in a profile [s]
 ALTITUDES = (-500, 20000)  # lowest and highest ellipsoidal altitude [m]
 SPEEDS = (1, 400)  # lowest and highest true airspeed [m/s]
+HEIGHTS = (0.01, 20)  # of a center of gravity above the ground at rest [m]
 BANKS = (1, 80)  # smallest and largest bank of a turn [deg]
 CLIMBS = (0.1, 100)  # smallest and largest vertical speed, up or down [m/s]
+FIXED_WING, MULTIROTOR = "fixed-wing", "multirotor"
+"""Kinds of aircraft of the bench."""
 MESH_OF_CLASS = {"uav": "uav", "light": "light-single", "transport": "jet", "fighter": "jet"}
 """Class of aircraft -> simple shape in the recording."""
 
@@ -23,7 +26,7 @@ MESH_OF_CLASS = {"uav": "uav", "light": "light-single", "transport": "jet", "fig
 class RunwaySpec:
     """Figures for take-off and landing of an aircraft; heights are of its center of gravity."""
 
-    height: float = figure("m", 0.01, 20)
+    height: float = figure("m", *HEIGHTS)
     """Height of the center of gravity above the ground at rest [m]."""
     rotate_speed: float = figure("mps", 1, 200, stem="rotate")
     """Airspeed at which the nose is raised [m/s]."""
@@ -62,8 +65,8 @@ class AircraftSpec:
     rough_from: int  # severity at which rough air begins
     flare_gains: Mapping[str, float]  # and those that differ in a flare from light turbulence on
     approach_gains: Mapping[str, float]  # and those that differ on an approach and in its flare
-    min_speed: float = figure("mps", *SPEEDS)
-    """Slowest true airspeed that a profile may ask for [m/s]."""
+    min_speed: float = figure("mps", 0, SPEEDS[1])
+    """Slowest true airspeed that a profile may ask for [m/s]; of a multirotor 0, of others 1 or more."""
     max_speed: float = figure("mps", *SPEEDS)
     """Fastest true airspeed that a profile may ask for [m/s]."""
     max_bank: float = figure("deg", *BANKS)
@@ -80,6 +83,18 @@ class AircraftSpec:
     trims: tuple[tuple[float, float], ...] = ()  # altitudes [m] and true airspeeds [m/s] to trim it at
     runway: RunwaySpec | None = None  # None: it starts and ends in the air
     configuration: tuple[str, ...] = ()  # parts that a leg may set: "flaps", "gear"
+    kind: str = FIXED_WING  # or MULTIROTOR: its guidance system, trim and legs
+    stand_height: float | None = None  # of a multirotor on its legs [m]
+
+    @property
+    def hovers(self) -> bool:
+        """Return whether it flies without airspeed."""
+        return self.kind == MULTIROTOR
+
+    @property
+    def rest_height(self) -> float | None:
+        """Return the height of the center of gravity above the ground at rest [m]; None: it never rests."""
+        return self.runway.height if self.runway else self.stand_height
 
     @property
     def guided(self) -> bool:
@@ -126,6 +141,7 @@ class Leg:
     """A part of a flight; `flight.legs` holds the kinds, frozen dataclasses with figures in SI."""
 
     kind: ClassVar[str]  # name in a profile
+    flown_by: ClassVar[tuple[str, ...]] = (FIXED_WING,)  # kinds of aircraft
     needs: ClassVar[str] = "air"  # start: "air", "ground", or after an "approach" or a "flare"
     leaves: ClassVar[str] = "air"  # its end, in the same words
     any_bank: ClassVar[bool] = False  # it may bank beyond the limit of guidance

@@ -5,6 +5,11 @@ L_v and L_w. They are filters of the distance through the air, not of time: a st
 their step, so the airspeed may change and an aircraft that stands in still air meets nothing new. Their
 discretization is exact for any step.
 
+What hovers has no airspeed that carries it through the field, and gusts live there all the same: the field
+goes by at least at the wind at 20 ft of its severity, along the wind. Its axes turn from there to the path of
+a faster flight and back slowly, so that a reversal throws no gust round. Wings keep the rule of the standard:
+on the ground they meet the field at the wind there is.
+
 Axes: u along the horizontal path through the air, v to its right, w down; p, q, r are the rates of the air
 about the axes of the aircraft, with q = -dw/dx and r = dv/dx: the sign that a turning mass of air has.
 """
@@ -59,6 +64,7 @@ _STALE = 0.005  # filters are made anew when scale or step changed by more than 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(20)  # exact for polynomials to the 39th power
 _LEADING, _SIGNS = [1, 1, 0], np.array([-1.0, 1.0, -1.0])
 """Component of each eigenvector of the noise whose sign is fixed, and that sign."""
+_TURN = math.radians(90.0)  # fastest turn of the axes of what hovers [rad/s]
 _MOVING = 0.5  # the direction of a slower path through the air is not looked at [m/s]
 
 
@@ -83,6 +89,17 @@ def scales_and_intensities(height: float, severity: float) -> tuple[float, float
     share = min(max((h - _LOW) / (_HIGH - _LOW), 0.0), 1.0)
     length_u, length_w, sigma_u, sigma_w = (float(v) * FT for v in low + share * (high - low))
     return length_u, length_w, sigma_u, sigma_w
+
+
+def carrying_speed(severity: float) -> float:
+    """Return the least speed [m/s] at which the gust field goes by what hovers: the wind at 20 ft.
+
+    Examples
+    --------
+    >>> print(round(carrying_speed(4), 2))
+    15.42
+    """
+    return FT * float(np.interp(severity, _INDEX, _WIND_20FT))
 
 
 class GustFilters:
@@ -207,6 +224,7 @@ class _Turbulence:
             return found
 
         self._run, self._severity, self._dt = fdm.run, spec.severity, dt
+        self._carried = carrying_speed(spec.severity) / FT if spec.aircraft.hovers else 0.0
         self._per_tick = round(1 / (GUIDANCE_RATE * dt))
         self._filters = GustFilters(fdm["metrics/bw-ft"] * FT)
         self._rng = stream(spec.turbulence_seed, 0, "turbulence")
@@ -229,7 +247,9 @@ class _Turbulence:
         read_north, read_east, _ = self._over_ground
         north, east = read_north() - self._wind_fps[0], read_east() - self._wind_fps[1]
         speed = math.hypot(north, east)
-        if speed * FT > _MOVING:
+        if self._carried:
+            self._turn_axes(*((north, east) if speed > self._carried else self._upwind))
+        elif speed * FT > _MOVING:
             self._north, self._east = north / speed, east / speed
         set_north, set_east, set_down = self._set_n
         set_north((self._north * u - self._east * v) / FT)
@@ -239,12 +259,23 @@ class _Turbulence:
             write(rate)
         return self._run()
 
+    def _turn_axes(self, north: float, east: float) -> None:
+        """Turn the axes of what hovers towards a direction, at most at the fastest turn."""
+        across, along = self._north * east - self._east * north, self._north * north + self._east * east
+        most = _TURN * self._dt
+        turn = max(-most, min(most, math.atan2(across, along)))
+        s, c = math.sin(turn), math.cos(turn)
+        self._north, self._east = c * self._north - s * self._east, s * self._north + c * self._east
+
     def _go_on(self) -> None:
         """Draw the gusts of the next 0.05 s, with the wind, height and airspeed at its start."""
         self._wind_fps = [read() for read in self._wind]
         through_air = math.hypot(
             *(read() - wind for read, wind in zip(self._over_ground, self._wind_fps, strict=True))
         )
+        through_air = max(through_air, self._carried)
+        upwind = [-wind for wind in self._wind_fps[:2]]
+        self._upwind = upwind if math.hypot(*upwind) * FT > _MOVING else (self._north, self._east)
         figures = scales_and_intensities(self._agl() * FT, self._severity)
         phi, noise = self._filters.make_step(figures[0], figures[1], through_air * FT * self._dt)
         drawn = self._rng.standard_normal((self._per_tick, len(phi))) @ noise.T
