@@ -11,6 +11,7 @@ from bench.core.records.flight_specs import AircraftSpec
 from bench.io.config.library import read_aircraft, read_jsbsim_aircraft
 from bench.io.config.listing import list_aircraft
 from bench.simulation.flight.executive import load_aircraft
+from bench.simulation.flight.hover_trim import trim_hover
 from bench.simulation.flight.trimming import TrimCondition, trim_aircraft
 
 AIRCRAFT = Path(__file__).parents[2] / "aircraft"
@@ -25,7 +26,25 @@ def flights(spec: AircraftSpec) -> list[TrimCondition]:
     return [TrimCondition(radians(47.0), radians(11.0), alt, 1.0, speed) for alt, speed in spec.trims]
 
 
-@pytest.mark.parametrize("name", OWN)
+WINGS = [name for name, spec in OWN.items() if not spec.hovers]
+ROTORS = [name for name, spec in OWN.items() if spec.hovers]
+
+
+@pytest.mark.parametrize("name", ROTORS)
+@pytest.mark.parametrize("wind", [0.0, 8.0])
+def test_a_multirotor_hovers_in_still_air_and_in_wind(name, wind):
+    """Nothing is left of six accelerations, with half of the speed of every rotor to spare."""
+    spec = OWN[name]
+    fdm = load_aircraft(spec, 1 / 400)
+    for alt in (100.0, 2000.0):
+        condition = TrimCondition(radians(47.0), radians(11.0), alt, 1.0, 0.0, wind_n=(0.0, wind, 0.0))
+        found = trim_hover(fdm, condition, spec.max_bank)
+        assert found.residual < 1e-9
+        assert 0.1 < min(found.speeds) / fdm["rotor/most-rad_sec"] <= max(found.speeds) / 1500.0 < 0.5
+        assert (abs(found.roll) + abs(found.pitch) > radians(10.0)) == (wind > 0.0)
+
+
+@pytest.mark.parametrize("name", WINGS)
 def test_an_own_aircraft_is_trimmed_where_its_file_says(name):
     """Nothing is left of six accelerations, with a tenth of the travel of every control to spare."""
     spec = OWN[name]
@@ -56,5 +75,5 @@ def test_every_file_names_its_sources_and_one_imu_is_off_the_center_of_gravity()
         assert "assumed: " in listed[name]
         assert (spec.folder / "README.md").is_file()
         assert ("IMU off" in listed[name]) == any(spec.imu_b)
-        assert (spec.runway is not None) == ("takes off and lands" in listed[name])
+        assert (spec.rest_height is not None) == ("takes off and lands" in listed[name])
     assert any(any(spec.imu_b) for spec in OWN.values())

@@ -46,7 +46,7 @@ def list_root_aircraft(root: Path) -> list[str]:
 def has_guidance(model: Path) -> bool:
     """Return whether a model includes the guidance system of bench; False if it cannot be read."""
     try:
-        return "guidance" in system_files(model)
+        return not {"guidance", "multirotor"}.isdisjoint(system_files(model))
     except FlightError:
         return False
 

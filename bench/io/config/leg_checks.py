@@ -119,11 +119,17 @@ def _check_start(table: ProfileTable, aircraft: AircraftSpec) -> list[str]:
             )
         if table.runway is not None:
             wrong.append("[runway] is not needed: with on_ground = true [start] is the runway")
-        if aircraft.runway is None:
+        if aircraft.rest_height is None:
+            table_of = "stand" if aircraft.hovers else "runway"
             wrong.append(
-                f"[start] on_ground = true: the {aircraft.name} has no [runway] in its aircraft.toml"
+                f"[start] on_ground = true: the {aircraft.name} has no [{table_of}] in its aircraft.toml"
             )
         return wrong
+    if aircraft.hovers:
+        if start.speed_mps is None:
+            return []
+        what = quantity("speed_mps", start.speed_mps)
+        return [f"[start] {what} is not used: the {aircraft.name} is a multirotor and starts in a hover"]
     if start.speed_mps is None:
         return [f"[start] speed_mps is missing, and the {aircraft.name} has no [[trim]]"]
     if not aircraft.min_speed <= start.speed_mps <= aircraft.max_speed:
@@ -145,8 +151,10 @@ def choose_first_speed(table: ProfileTable, aircraft: AircraftSpec) -> float:
     """Return the airspeed at the start or, on the ground, of the climb after take-off [m/s]."""
     if table.start.speed_mps is not None:
         return float(table.start.speed_mps)
+    if aircraft.hovers:
+        return 0.0
     climbs = (leg.speed for leg in build_legs(table) if isinstance(leg, TakeOff))
-    return float(next(climbs, 0.5 * (aircraft.min_speed + aircraft.max_speed)))
+    return float(next(climbs, None) or 0.5 * (aircraft.min_speed + aircraft.max_speed))
 
 
 def check_air(table: ProfileTable) -> list[str]:

@@ -9,7 +9,15 @@ from typing import Annotated, Literal, Self
 from pydantic import Field
 
 from bench.core.files.installed import find_folders
-from bench.core.records.flight_specs import AircraftSpec, ForeignSpec, RunwaySpec
+from bench.core.records.flight_specs import (
+    FIXED_WING,
+    HEIGHTS,
+    MULTIROTOR,
+    SPEEDS,
+    AircraftSpec,
+    ForeignSpec,
+    RunwaySpec,
+)
 from bench.core.records.specs import Profile
 from bench.core.words.exceptions import ConfigError
 from bench.core.words.wording import one_line, quantity, suggest, tell_where
@@ -53,6 +61,13 @@ class _TrimPoint(Table):
     """Its true airspeed; a [start] without airspeed takes the nearest in altitude."""
 
 
+class _Stand(Table):
+    """How a multirotor rests on its legs."""
+
+    height_m: Annotated[float, between(*HEIGHTS)]
+    """Height of the center of gravity above the ground at rest."""
+
+
 class AircraftTable(Table):
     """The file of an aircraft."""
 
@@ -60,6 +75,8 @@ class AircraftTable(Table):
     """Title."""
     category: Category = Field(alias="class")
     """Class: shape in the recording, limits of the sanity report."""
+    kind: Literal["fixed-wing", "multirotor"] = "fixed-wing"
+    """Its guidance system (guidance.xml or multirotor.xml), trim and legs."""
     source: str = ""
     """Source of the values."""
     assumed: Annotated[tuple[str, ...], ROWS] = ()
@@ -70,6 +87,7 @@ class AircraftTable(Table):
     antenna: _Position
     static_port: _Position = Field(default_factory=_Position.at_cg)
     runway: make_table_type(RunwaySpec) | None = None  # type: ignore[valid-type]
+    stand: _Stand | None = None
     configuration: Annotated[tuple[Literal["flaps", "gear"], ...], ROWS] = ()
     """Parts that a leg may move."""
     guidance: dict[str, float] = Field(default_factory=dict)
@@ -216,6 +234,19 @@ def _make_aircraft(
     limits, imu = table.limits, table.imu
     if limits.min_speed_mps >= limits.max_speed_mps:
         raise ConfigError(f"{shown}: [limits] min_speed_mps must be below max_speed_mps")
+    wings = table.kind == FIXED_WING
+    if wings and limits.min_speed_mps < SPEEDS[0]:
+        what = quantity("min_speed_mps", limits.min_speed_mps)
+        raise ConfigError(f"{shown}: [limits] {what} is below {SPEEDS[0]} m/s; 0 is for kind = 'multirotor'")
+    not_used = () if wings else ("trim", "runway", "configuration", "rough_air", "rough_flare", "approach")
+    for name in (*not_used, *(["stand"] if wings else [])):
+        if name in table.model_fields_set:
+            raise ConfigError(f"{shown}: [{name}] is not used with kind = {table.kind!r}")
+    if not wings and limits.min_speed_mps:
+        what = quantity("min_speed_mps", limits.min_speed_mps)
+        raise ConfigError(f"{shown}: [limits] {what} must be 0 with kind = {MULTIROTOR!r}: it hovers")
+    if not wings and isinstance(table, ForeignTable):
+        raise ConfigError(f"{shown}: kind = {MULTIROTOR!r}: the model must name <system file='multirotor'/>")
     for number, row in enumerate(table.trim, 1):
         if not limits.min_speed_mps <= row.speed_mps <= limits.max_speed_mps:
             raise ConfigError(
@@ -231,9 +262,10 @@ def _make_aircraft(
     if both := sorted(table.rough_flare.keys() & table.approach):
         raise ConfigError(f"{shown}: {both[0]!r} is in [rough_flare] and [approach]; a landing takes one")
     systems = [place / "systems" for place in (folder.parent, *list_aircraft_folders(beside))]
-    with_guidance = next((place for place in systems if (place / "guidance.xml").is_file()), None)
+    law = "guidance.xml" if wings else "multirotor.xml"
+    with_guidance = next((place for place in systems if (place / law).is_file()), None)
     if with_guidance is None:
-        raise ConfigError(f"guidance.xml: no such file in {', '.join(str(place) for place in systems)}")
+        raise ConfigError(f"{law}: no such file in {', '.join(str(place) for place in systems)}")
     return AircraftSpec(
         name=folder.name,
         folder=folder.absolute(),  # it is read in a process that works elsewhere
@@ -252,6 +284,8 @@ def _make_aircraft(
         trims=tuple((float(row.alt_m), float(row.speed_mps)) for row in table.trim),
         runway=RunwaySpec(**convert_figures(RunwaySpec, table.runway)) if table.runway else None,
         configuration=table.configuration,
+        kind=table.kind,
+        stand_height=table.stand.height_m if table.stand else None,
     )
 
 

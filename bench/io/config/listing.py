@@ -121,7 +121,9 @@ def _describe_aircraft(sheet: Mapping[str, Any]) -> str:
     parts = [f"class {sheet.get('class')}"]
     parts.append(f"{limits.get('min_speed_mps', 0):g} to {limits.get('max_speed_mps', 0):g} m/s")
     parts += [f"trimmed at {row['speed_mps']:g} m/s, {row['alt_m']:g} m" for row in sheet.get("trim", [])]
-    parts.append("takes off and lands" if "runway" in sheet else "in the air only")
+    grounded = "runway" in sheet or "stand" in sheet
+    parts += [str(sheet["kind"])] if "kind" in sheet else []
+    parts.append("takes off and lands" if grounded else "in the air only")
     parts += ["IMU off the center of gravity"] if "imu" in sheet else []
     parts += [f"source: {sheet['source']}"] if "source" in sheet else []
     parts += [f"assumed: {', '.join(sheet['assumed'])}"] if "assumed" in sheet else []

@@ -204,6 +204,10 @@ def _make_guidance(
         or flight.aircraft.foreign is not None
     ):
         raise ConfigError(f"{place} is for aircraft of the bench; others have no guidance that it reaches")
+    if flight.aircraft.hovers:
+        raise ConfigError(
+            f"{place} is for wings; the {flight.aircraft.name} is flown by its true motion alone"
+        )
     if choice.use == CLIENT:
         return Guidance(choice, own.period_s, own.latency_s, own.error)
     if not checks.is_known(choice.use) or choice.use.startswith(_OUTSIDE):
@@ -402,8 +406,8 @@ def _find_ground(table: ExperimentTable, aircraft: AircraftSpec | None) -> dict[
     if not isinstance(table, ProfileTable) or aircraft is None:
         return {} if isinstance(table, TrajectoryTable) else {"rest_height": -math.inf}
     hills = table.terrain is not None and table.terrain.file and leg_checks.make_runway(table) is None
-    figures = None if hills else aircraft.runway
-    rest = -math.inf if figures is None else figures.height - aircraft.imu_b[2]
+    height = None if hills else aircraft.rest_height
+    rest = -math.inf if height is None else height - aircraft.imu_b[2]
     return {"ground_alt": leg_checks.choose_ground(table), "rest_height": rest}
 
 

@@ -70,8 +70,9 @@ def load_aircraft(aircraft: AircraftSpec, dt: float, *, rough: bool = False) -> 
             raise FlightError(f"aircraft {aircraft.name}: [guidance] {name!r} is not the name of a gain")
         find_property(fdm, f"guidance/{name}").set_double_value(gain)
     fdm["guidance/bank-limit-rad"] = aircraft.max_bank
-    fdm["guidance/climb-limit-mps"] = aircraft.max_climb
-    fdm["guidance/descent-limit-mps"] = aircraft.max_descent
+    if not aircraft.hovers:  # the paths of a multirotor keep within them by themselves
+        fdm["guidance/climb-limit-mps"] = aircraft.max_climb
+        fdm["guidance/descent-limit-mps"] = aircraft.max_descent
     return fdm
 
 

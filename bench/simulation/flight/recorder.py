@@ -19,8 +19,10 @@ from bench.simulation.flight.executive import load_aircraft, load_script, say_in
 from bench.simulation.flight.guidance.belief import Belief
 from bench.simulation.flight.guidance.sequencer import Cockpit, FlownLeg, engage, fly_legs
 from bench.simulation.flight.guidance.shaping import GUIDANCE_RATE
+from bench.simulation.flight.hover_trim import prepare_hover
 from bench.simulation.flight.jsbsim_units import FT
 from bench.simulation.flight.model_files import script_facts
+from bench.simulation.flight.rotor_cockpit import RotorCockpit
 from bench.simulation.flight.sanity import choose_flight, report_sanity
 from bench.simulation.flight.standing import stand
 from bench.simulation.flight.state_log import NEIGHBORS, StateLog
@@ -100,7 +102,7 @@ def record_plan(
     _, dt = simulation_step(spec.rate)
     fdm, cockpit = prepare(spec, dt, say, belief)
     craft = spec.aircraft
-    log = StateLog(fdm, dt, f"aircraft {craft.name}", craft.imu_b, guided=craft.guided)
+    log = StateLog(fdm, dt, f"aircraft {craft.name}", craft.imu_b, guided=craft.guided, hovers=craft.hovers)
     run, keep_state = through_turbulence(fdm, spec, dt), log.keep_state
     shares = [k / log.per_tick for k in range(1, log.per_tick + 1)]
     flown: list[FlownLeg] = []
@@ -209,7 +211,7 @@ def simulation_step(rate: float, longest: float = 1.0 / _LEAST_RATE) -> tuple[in
 
 def prepare(
     spec: FlightSpec, dt: float, say: Say = keep_quiet, belief: Belief | None = None
-) -> tuple[Any, Cockpit]:
+) -> tuple[Any, Cockpit | RotorCockpit]:
     """Return the model and its guidance at the start of the plan, in wind, trimmed or standing."""
     say("loading")
     fdm = load_aircraft(spec.aircraft, dt, rough=spec.severity >= spec.aircraft.rough_from)
@@ -220,6 +222,8 @@ def prepare(
     condition = TrimCondition(
         spec.lat, spec.lon, spec.alt, spec.heading, spec.speed, wind_n=(north, east, down)
     )
+    if spec.aircraft.hovers:
+        return fdm, prepare_hover(fdm, spec, condition, say)
     if spec.on_ground:  # trimmed for the climb to come
         trimmed = trim_aircraft(fdm, replace(condition, alt=spec.alt + _CLEAR), guided=guided, say=say)
         stand(fdm, condition, guided=guided, say=say)

@@ -38,6 +38,20 @@ def stand(fdm: Any, condition: TrimCondition, *, guided: bool = True, say: Say =
     FlightError
         When it does not come to rest.
     """
+    set_down(fdm, condition)
+    for surface in SURFACES:
+        fdm[f"fcs/{surface}-cmd-norm"] = 0.0
+        fdm[f"guidance/{surface}-direct-share"] = 1.0
+    fdm["guidance/throttle-cmd-norm"] = 0.0
+    for side in ("left", "right"):
+        fdm[f"fcs/{side}-brake-cmd-norm"] = 1.0
+    if not guided:
+        start_engines(fdm)  # and come to their idle while it settles
+    come_to_rest(fdm, say)
+
+
+def set_down(fdm: Any, condition: TrimCondition) -> None:
+    """Put what has wheels or legs just above the ground, at rest, with the wind of a condition."""
     place(fdm, condition, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     for name in ("u-fps", "v-fps", "w-fps", "phi-rad", "theta-rad"):
         fdm[f"ic/{name}"] = 0.0
@@ -57,14 +71,16 @@ def stand(fdm: Any, condition: TrimCondition, *, guided: bool = True, say: Say =
     for name, number in {**INTEGRATORS, **ON_WHEELS}.items():  # run_ic resets them
         fdm[f"simulation/integrator/{name}"] = number
     set_wind(fdm, np.asarray(condition.wind_n))
-    for surface in SURFACES:
-        fdm[f"fcs/{surface}-cmd-norm"] = 0.0
-        fdm[f"guidance/{surface}-direct-share"] = 1.0
-    fdm["guidance/throttle-cmd-norm"] = 0.0
-    for side in ("left", "right"):
-        fdm[f"fcs/{side}-brake-cmd-norm"] = 1.0
-    if not guided:
-        start_engines(fdm)  # and come to their idle while it settles
+
+
+def come_to_rest(fdm: Any, say: Say = keep_quiet) -> None:
+    """Let the model settle on the ground.
+
+    Raises
+    ------
+    FlightError
+        When it does not come to rest.
+    """
     steps = round(1.0 / fdm.get_delta_t())
     for _ in range(_PATIENCE):
         for k in range(round(_SETTLE / fdm.get_delta_t())):

@@ -54,6 +54,8 @@ _AIR = (  # at 20 Hz, with the factor to SI
     ("aero/beta-rad", 1.0),
     *((f"atmosphere/total-wind-{axis}-fps", FT) for axis in ("north", "east", "down")),
 )
+_TRUE_SPEED, _ANGLES = 2, slice(4, 6)  # in the rows of _AIR
+_FLOWS = 3.0  # airspeed below which the flow round what hovers has no direction to speak of [m/s]
 _SURFACES = tuple((f"fcs/{name}-cmd-norm", 1.0) for name in ("aileron", "elevator", "rudder"))
 _OWN = (*_AIR, ("motor/speed-rad_sec", 1.0), *_SURFACES, ("guidance/throttle-cmd-norm", 1.0))
 _ENGINES = ("propulsion/engine/propeller-rpm", "propulsion/engine/engine-rpm")
@@ -78,6 +80,8 @@ class StateLog:
         The IMU relative to the center of gravity at the start [m], b.
     guided : bool
         Whether the model was made for the bench. Of others what they do not have is 0.
+    hovers : bool
+        Whether it flies without airspeed: angle of attack and sideslip of an airspeed below 3 m/s are then 0.
 
     Raises
     ------
@@ -93,6 +97,7 @@ class StateLog:
         imu_b: tuple[float, float, float] = (0.0, 0.0, 0.0),
         *,
         guided: bool = False,
+        hovers: bool = False,
     ) -> None:
         manager = fdm.get_property_manager()
 
@@ -110,7 +115,7 @@ class StateLog:
         slow = _OWN if guided else (*foreign, *_GROUND)
         names = _MOTION if guided else (*_MOTION, *_CENTER)
         self.dt, self.per_tick = dt, round(1.0 / (GUIDANCE_RATE * dt))
-        self._what, self._imu_b, self._guided = what, imu_b, guided
+        self._what, self._imu_b, self._guided, self._hovers = what, imu_b, guided, hovers
         self._read_state = [read(name) for name in names]
         contacts = [] if guided else [touch("gear"), touch("contact")]
         self._read_slow = [*(read(name) for name, _ in slow), *contacts]
@@ -139,6 +144,8 @@ class StateLog:
         if not math.isfinite(sum(state) + (sum(values) if self._guided else 0.0)):
             t = self._begun / GUIDANCE_RATE + (self._left() + NEIGHBORS) * self.dt
             raise FlightError(f"{self._what}: the motion is no longer finite at {t:.2f} s")
+        if self._hovers and values[_TRUE_SPEED] * FT < _FLOWS:
+            values[_ANGLES] = (0.0, 0.0)
         self._slow.extend(values)
 
     def count_steps(self) -> int:

@@ -133,7 +133,8 @@ def trim_aircraft(fdm: Any, condition: TrimCondition, *, guided: bool = True, sa
     return Trim(alpha, beta, roll, pitch, aileron, elevator, throttle, residual)
 
 
-def _find_root(f: Callable[[FloatArray], FloatArray], start: FloatArray) -> FloatArray:
+def find_root(f: Callable[[FloatArray], FloatArray], start: FloatArray) -> FloatArray:
+    """Return where a function (N,) -> (N,) is zero, searched from a start (N,)."""
     from scipy.optimize import root
 
     x: FloatArray = root(f, start, method="hybr", options={"xtol": 1e-13, "maxfev": 400}).x
@@ -156,7 +157,7 @@ def _fit_within_travel(f: Callable[[FloatArray], FloatArray], start: FloatArray)
     return x
 
 
-_OWN = (_OWN_STARTS, 1e-9, _find_root)
+_OWN = (_OWN_STARTS, 1e-9, find_root)
 FOREIGN = (_FOREIGN_STARTS, 1e-3, _fit_within_travel)  # 0.1 mg
 """Where the search for a trim begins; the largest acceleration it may leave [m/s^2, rad/s^2]; the search."""
 
@@ -209,8 +210,11 @@ def place(
     *,
     pitch: float | None = None,
     rates_b: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    at_rest: bool = False,
 ) -> None:
     """Put the model into a state and evaluate it; without pitch, the climb angle determines the pitch.
+
+    ``at_rest``: over ground, whatever the airspeed of the condition.
 
     rates_b is the rate of b relative to the Earth [rad/s]. The wind comes after run_ic,
     whose own wind input turns it by 90 degrees; a step without integration lets the model
@@ -218,7 +222,8 @@ def place(
     """
     if pitch is None:
         pitch = _pitch(alpha, beta, roll, condition.climb_angle)
-    u, v, w = _ground_velocity_b(condition, alpha, beta, from_euler(roll, pitch, condition.heading))
+    q_nb = from_euler(roll, pitch, condition.heading)
+    u, v, w = np.zeros(3) if at_rest else _ground_velocity_b(condition, alpha, beta, q_nb)
     # lat and alt depend on each other in the initial conditions: two rounds bring both home
     fdm["ic/lat-geod-rad"] = condition.lat
     fdm["ic/long-gc-rad"] = condition.lon

@@ -18,8 +18,9 @@ import numpy as np
 
 from bench.core.mathematics.arrays import FloatArray
 from bench.core.words.exceptions import FlightError
-from bench.simulation.flight.cockpit import Cockpit, Plane
+from bench.simulation.flight.cockpit import Cockpit
 from bench.simulation.flight.guidance.shaping import G, Steps, clip, roll_time, smoothstep, ticks
+from bench.simulation.flight.panel import Plane
 
 Point = tuple[float, float]
 """North and east [m]."""

@@ -19,6 +19,7 @@ from bench.simulation.flight.cockpit import SURFACES, Cockpit
 from bench.simulation.flight.guidance.belief import Belief
 from bench.simulation.flight.guidance.shaping import GUIDANCE_RATE
 from bench.simulation.flight.legs.keys import AtSpeed
+from bench.simulation.flight.rotor_cockpit import RotorCockpit
 from bench.simulation.flight.trimming import Trim
 from bench.simulation.flight.turbulence.wind import Weather
 
@@ -66,7 +67,7 @@ def engage(fdm: Any, spec: FlightSpec, trimmed: Trim, belief: Belief | None = No
 
 
 def fly_legs(
-    cockpit: Cockpit, spec: FlightSpec, flown: list[FlownLeg], weather: Weather | None = None
+    cockpit: Cockpit | RotorCockpit, spec: FlightSpec, flown: list[FlownLeg], weather: Weather | None = None
 ) -> Iterator[float]:
     """Fly the legs in order; yields the start of each interval, and appends each leg when it ends.
 
@@ -129,8 +130,11 @@ def describe(number: int, leg: Leg) -> str:
     return f"{number} {leg.kind}: {what}" if what else f"{number} {leg.kind}"
 
 
-def _watch(cockpit: Cockpit, leg: Leg) -> None:
+def _watch(cockpit: Cockpit | RotorCockpit, leg: Leg) -> None:
     """Raise FlightError if the aircraft has hit the ground or left the envelope of the guidance."""
+    if isinstance(cockpit, RotorCockpit):
+        cockpit.watch(may_touch=leg.needs != "air" or leg.leaves != "air")
+        return
     speed, agl, roll = cockpit.speed(), cockpit.true_alt_agl(), cockpit.true_roll()
     low, high = 0.25 * cockpit.aircraft.min_speed, 2.0 * cockpit.aircraft.max_speed
     on_runway = leg.needs != "air"

@@ -6,11 +6,12 @@ import math
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
-from bench.core.records.flight_specs import ALTITUDES, CLIMBS, LegStart
+from bench.core.records.flight_specs import ALTITUDES, CLIMBS, FIXED_WING, MULTIROTOR, LegStart
 from bench.core.words.exceptions import FlightError
 from bench.simulation.flight.cockpit import Cockpit
 from bench.simulation.flight.guidance.shaping import Steps, smooth, ticks
 from bench.simulation.flight.legs.keys import AtSpeed, ClimbRate, Key, write_key
+from bench.simulation.flight.rotor_cockpit import RotorCockpit
 
 _CLIMB_CHANGE = 1.0  # fastest change of a climb set-point [m/s^2]
 _NEAR_ALT = 2.0  # an altitude is reached within [m]
@@ -19,6 +20,7 @@ _PATIENCE = 120.0  # how much longer than planned a leg may take [s]
 
 @dataclass(frozen=True)
 class _AltitudeChange(AtSpeed):
+    flown_by = (FIXED_WING, MULTIROTOR)
     sign: ClassVar[int]  # 1 up, -1 down
     to_alt: Annotated[float, Key("to_alt_m", "ellipsoidal altitude", *ALTITUDES)]
     rate: ClimbRate
@@ -35,7 +37,12 @@ class _AltitudeChange(AtSpeed):
     def alt_after(self, start: LegStart) -> float:
         return self.to_alt
 
-    def fly(self, cockpit: Cockpit) -> Steps:
+    def fly(self, cockpit: Cockpit | RotorCockpit) -> Steps:
+        if isinstance(cockpit, RotorCockpit):
+            return cockpit.go_to_height(self.to_alt, self.rate)
+        return self._fly_on_wings(cockpit)
+
+    def _fly_on_wings(self, cockpit: Cockpit) -> Steps:
         # a short way is climbed slower, so that the ramps fit into it; 0.1 m/s when there is no way at all
         fits = max(0.1, math.sqrt(abs(self.to_alt - cockpit.alt()) * _CLIMB_CHANGE / 2))
         rate = self.sign * min(self.rate, fits)

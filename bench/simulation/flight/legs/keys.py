@@ -15,7 +15,16 @@ from types import NoneType
 from typing import Annotated, Any, Literal, NamedTuple, Union, get_args, get_origin, get_type_hints
 
 from bench.core.mathematics.units import from_si, unit_of
-from bench.core.records.flight_specs import BANKS, CLIMBS, SECONDS, SPEEDS, AircraftSpec, Leg, LegStart
+from bench.core.records.flight_specs import (
+    BANKS,
+    CLIMBS,
+    MULTIROTOR,
+    SECONDS,
+    SPEEDS,
+    AircraftSpec,
+    Leg,
+    LegStart,
+)
 from bench.core.words.wording import quantity
 
 SIDES: Mapping[str, int] = {"right": 1, "left": -1, "shorter": 0}
@@ -104,6 +113,13 @@ def side_of(value: float) -> str:
 
 def check_leg(leg: Leg, start: LegStart) -> list[str]:
     """Return the conflicts of a leg with the aircraft or the legs before it, one line each."""
+    craft = start.aircraft
+    if craft.kind not in leg.flown_by:
+        own = "a multirotor" if leg.flown_by == (MULTIROTOR,) else "an aircraft with wings"
+        instead = "hover, goto, sprint or orbit" if craft.hovers else "straight, turn, waypoints or holding"
+        return [f"is flown by {own}, and the {craft.name} is none; it flies {instead}"]
+    if craft.hovers and isinstance(leg, AtSpeed) and leg.speed is not None:
+        return [f"{write_key(leg, 'speed')} is an airspeed, which a multirotor does not hold; leave it out"]
     return [*_check_limits(leg, start.aircraft), *_check_begin(leg, start.after), *leg.check(start)]
 
 

@@ -10,7 +10,7 @@ from typing import Annotated
 
 from bench.core.records.flight_specs import SECONDS, Leg, LegStart
 from bench.core.words.exceptions import FlightError
-from bench.simulation.flight.cockpit import SURFACES, Cockpit, Plane
+from bench.simulation.flight.cockpit import SURFACES, Cockpit
 from bench.simulation.flight.guidance.paths import Follower, SegmentPath
 from bench.simulation.flight.guidance.shaping import Steps, roll_time, smooth, ticks, wait
 from bench.simulation.flight.legs.climbs import climb_ramp
@@ -25,6 +25,7 @@ from bench.simulation.flight.legs.runway import (
     find_runway,
     lower_nose,
 )
+from bench.simulation.flight.panel import Plane
 
 _ALIGNED = math.radians(60.0)  # an approach begins with its track this close to the runway's [rad]
 _FINAL_BANK = math.radians(30.0)  # of an approach [rad]

@@ -4,15 +4,26 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, ClassVar
 
-from bench.core.records.flight_specs import SECONDS, AircraftSpec, Leg, LegStart, Runway, RunwaySpec
+from bench.core.records.flight_specs import (
+    FIXED_WING,
+    MULTIROTOR,
+    SECONDS,
+    AircraftSpec,
+    Leg,
+    LegStart,
+    Runway,
+    RunwaySpec,
+)
 from bench.core.words.exceptions import FlightError
-from bench.simulation.flight.cockpit import Cockpit, Plane
+from bench.simulation.flight.cockpit import Cockpit
 from bench.simulation.flight.guidance.paths import SegmentPath
 from bench.simulation.flight.guidance.shaping import GUIDANCE_RATE, Steps, clip, smooth, ticks, wait
 from bench.simulation.flight.legs.climbs import climb_ramp, level_off
-from bench.simulation.flight.legs.keys import ClimbRate, Key, Seconds, Speed, side_of
+from bench.simulation.flight.legs.keys import ClimbRate, Key, Seconds, Speed, side_of, write_key
+from bench.simulation.flight.panel import Plane
+from bench.simulation.flight.rotor_cockpit import RotorCockpit
 
 POWER = 2.0  # in which brakes are released and power is set [s]
 PATIENCE = 180.0  # for a take-off run or a landing roll [s]
@@ -23,6 +34,7 @@ _NEAR = 2.0  # an airspeed has nearly come when it lacks less [m/s]
 _TAXI_QUICKENS, _TAXI_SLOWS = 0.5, 0.5  # changes of the speed of taxiing [m/s^2]
 _TAXI_BRAKE, _TAXI_STANDS = 0.4, 0.15  # most of the brakes; the speed that they end [m/s]
 _TAXI_LAG = 0.5  # so much below the speed that lets it stop in time it still quickens [m/s]
+_LOWEST = 20.0  # height above the runway that a take-off run climbs to [m]
 _SAFE = 10.0  # height above the ground at which the climb begins [m]
 _CENTER = 0.02  # heading back to the centerline per distance off it [rad/m] ...
 _CENTER_MOST = math.radians(10.0)  # ... and the most of it [rad]
@@ -33,14 +45,16 @@ class Static(Leg):
     """Stand on the ground with brakes set."""
 
     kind = "static"
+    flown_by = (FIXED_WING, MULTIROTOR)
     needs = leaves = "ground"
     duration: Seconds
 
     def describe(self) -> str:
         return f"{self.duration:g} s"
 
-    def fly(self, cockpit: Cockpit) -> Steps:
-        cockpit.brake(1.0)
+    def fly(self, cockpit: Cockpit | RotorCockpit) -> Steps:
+        if isinstance(cockpit, Cockpit):
+            cockpit.brake(1.0)
         yield from wait(self.duration)
 
 
@@ -104,24 +118,40 @@ class Taxi(Leg):
 
 @dataclass(frozen=True)
 class TakeOff(Leg):
-    """Roll, rotate and climb straight ahead to a height above the runway."""
+    """Roll, rotate and climb straight ahead to a height above the runway; a multirotor rises on the spot."""
 
     kind = "take-off"
+    flown_by: ClassVar[tuple[str, ...]] = (FIXED_WING, MULTIROTOR)
     needs = "ground"
-    to_height: Annotated[float, Key("to_height_m", "above the runway", 20, 5000)]
+    to_height: Annotated[float, Key("to_height_m", "above the runway; a multirotor from 1 m on", 1, 5000)]
     rate: ClimbRate
-    speed: Speed
+    speed: Speed | None = None
 
     def describe(self) -> str:
-        return f"to {self.to_height:g} m above the runway at {self.rate:g} m/s, {self.speed:g} m/s"
+        at = f"to {self.to_height:g} m above the runway at {self.rate:g} m/s"
+        return at if self.speed is None else f"{at}, {self.speed:g} m/s"
 
     def check(self, start: LegStart) -> list[str]:
-        return check_runway(start.aircraft)
+        if start.aircraft.hovers:
+            return [] if self.speed is None else [f"{write_key(self, 'speed')} is not used by a multirotor"]
+        wrong = check_runway(start.aircraft)
+        if self.speed is None:
+            wrong.append("speed_mps is missing")
+        if self.to_height < _LOWEST:
+            wrong.append(
+                f"{write_key(self, 'to_height')} is below the {_LOWEST:g} m of an aircraft with wings"
+            )
+        return wrong
 
     def alt_after(self, start: LegStart) -> float:
         return (start.runway.alt if start.runway else start.alt) + self.to_height
 
-    def fly(self, cockpit: Cockpit) -> Steps:
+    def fly(self, cockpit: Cockpit | RotorCockpit) -> Steps:
+        if isinstance(cockpit, RotorCockpit):
+            return cockpit.lift_off(cockpit.start_lla[2] + self.to_height, self.rate)
+        return self._roll_and_climb(cockpit)
+
+    def _roll_and_climb(self, cockpit: Cockpit) -> Steps:
         """Power, roll along the centerline, raise the nose at its speed, climb out at a rate."""
         runway, figures = find_runway(cockpit)
         center = Centerline(cockpit, runway)
@@ -141,6 +171,7 @@ class TakeOff(Leg):
             center.steer()
             yield
         yield from _roll_to(cockpit, center, figures.rotate_speed)
+        assert self.speed is not None  # by its check
         yield from _with_full_power(cockpit, self.speed, self._climb_out(cockpit, center, direct=True))
 
     def _climb_out(self, cockpit: Cockpit, center: Centerline, *, direct: bool) -> Steps:
@@ -182,10 +213,11 @@ class TouchAndGo(TakeOff):
     """Lower the nose after a flare, roll, and take off again."""
 
     kind = "touch-and-go"
+    flown_by = (FIXED_WING,)
     needs = "flare"
     roll: Annotated[float, Key("roll_s", "without power", 1, 30)] = 3.0
 
-    def fly(self, cockpit: Cockpit) -> Steps:
+    def _roll_and_climb(self, cockpit: Cockpit) -> Steps:
         """Nose down and throttle back, roll along the centerline, then as a take-off."""
         runway, figures = find_runway(cockpit)
         center = Centerline(cockpit, runway)
@@ -199,6 +231,7 @@ class TouchAndGo(TakeOff):
             center.steer()
             yield
         yield from _roll_to(cockpit, center, figures.rotate_speed)
+        assert self.speed is not None  # by its check
         yield from _with_full_power(cockpit, self.speed, self._climb_out(cockpit, center, direct=False))
 
 

@@ -14,7 +14,7 @@ from bench.core.mathematics.earth import matrix_en, to_ecef, to_geodetic
 from bench.core.records.flight_specs import ALTITUDES, SECONDS, LegStart
 from bench.core.words.exceptions import FlightError
 from bench.core.words.wording import format_count
-from bench.simulation.flight.cockpit import Cockpit, Plane
+from bench.simulation.flight.cockpit import Cockpit
 from bench.simulation.flight.guidance.paths import (
     Heights,
     SegmentPath,
@@ -25,6 +25,7 @@ from bench.simulation.flight.guidance.paths import (
 )
 from bench.simulation.flight.guidance.shaping import Steps
 from bench.simulation.flight.legs.keys import SIDES, AtSpeed, Bank, Key, format_deg
+from bench.simulation.flight.panel import Plane
 
 _GROUND_STEP = 20.0  # at which the ground below a way is looked at [m]
 _CLIMB_SHARE = 0.7  # of the climb of the aircraft that a way along the ground may need

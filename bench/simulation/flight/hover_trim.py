@@ -1,0 +1,94 @@
+"""Hover of a multirotor: its trim in wind, and its stand on the ground."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.records.flight_specs import FlightSpec
+from bench.core.words.exceptions import FlightError
+from bench.simulation.flight.rotor_cockpit import ROTORS, RotorCockpit
+from bench.simulation.flight.standing import come_to_rest, set_down
+from bench.simulation.flight.trimming import (
+    Say,
+    TrimCondition,
+    find_root,
+    keep_quiet,
+    place,
+    present_accelerations,
+    settle,
+    wait,
+)
+
+_SCALE = np.array([100.0, 100.0, 100.0, 100.0, 0.1, 0.1])  # rotor speeds [rad/s], roll, pitch [rad]
+_HOVERS = 0.3  # share of the fastest speed at which the search begins
+_LAGS = 35.0  # time constants after which a rotor turns as told to the last digit
+_CLEAR = 10.0  # legs off the ground for the trim of a flight that starts on it [m]
+_SETTLED = 1e-9  # largest acceleration a trim may leave [m/s^2, rad/s^2]
+
+
+@dataclass(frozen=True, slots=True)
+class HoverTrim:
+    """A hover at rest over ground."""
+
+    speeds: tuple[float, ...]  # of the rotors [rad/s]
+    roll: float  # [rad]
+    pitch: float  # [rad]
+    residual: float  # largest acceleration left [m/s^2, rad/s^2]
+
+
+def trim_hover(fdm: Any, condition: TrimCondition, max_tilt: float, say: Say = keep_quiet) -> HoverTrim:
+    """Solve for the hover of a condition, its speed unused, and leave the model there, rotors as trimmed.
+
+    Six accelerations are brought to zero by four rotor speeds, roll and pitch.
+
+    Raises
+    ------
+    FlightError
+        When it hovers at no tilt below ``max_tilt`` [rad].
+    """
+    lag, most = fdm["rotor/lag-rad_sec"], fdm["rotor/most-rad_sec"]
+    steps = math.ceil(_LAGS / lag / fdm.get_delta_t())
+    fdm["guidance/direct-share"] = 1.0
+
+    def accelerations(x: FloatArray) -> FloatArray:
+        say("trimming")
+        *speeds, roll, pitch = (float(v) for v in x * _SCALE)
+        place(fdm, condition, 0.0, 0.0, roll, 0.0, 0.0, 0.0, pitch=pitch, at_rest=True)
+        for k in ROTORS:
+            fdm[f"guidance/direct{k}-rad_sec"] = speeds[k]
+        wait(fdm, steps)
+        return present_accelerations(fdm)
+
+    x = find_root(accelerations, np.array([_HOVERS * most] * 4 + [0.0, 0.0]) / _SCALE)
+    residual = float(np.abs(accelerations(x)).max())
+    *speeds, roll, pitch = (float(v) for v in x * _SCALE)
+    tilt = math.acos(math.cos(roll) * math.cos(pitch))
+    if not (residual < _SETTLED and min(speeds) > 0 and max(speeds) < most and tilt < max_tilt):
+        wind = math.hypot(*condition.wind_n)
+        raise FlightError(
+            f"no hover found for {fdm.get_model_name()} in a wind of {wind:.3g} m/s: {residual:.2g} m/s^2 or "
+            f"rad/s^2 is left at a tilt of {math.degrees(tilt):.0f} deg, {math.degrees(max_tilt):.0f} at most"
+        )
+    return HoverTrim(tuple(speeds), roll, pitch, residual)
+
+
+def prepare_hover(fdm: Any, spec: FlightSpec, condition: TrimCondition, say: Say) -> RotorCockpit:
+    """Return the guidance of a multirotor at the start of a plan, trimmed in a hover or on its legs."""
+    above = _CLEAR if spec.on_ground else 0.0
+    trim_hover(fdm, replace(condition, alt=condition.alt + above), spec.aircraft.max_bank, say)
+    if spec.on_ground:
+        set_down(fdm, condition)
+        for k in ROTORS:
+            fdm[f"guidance/direct{k}-rad_sec"] = 0.0
+        come_to_rest(fdm, say)
+        return RotorCockpit(fdm, spec)
+    cockpit = RotorCockpit(fdm, spec)
+    cockpit.begin_hover()
+    say("settling")
+    settle(fdm)
+    return cockpit

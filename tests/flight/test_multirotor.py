@@ -1,0 +1,284 @@
+"""A multirotor: what it flies, holds and refuses; its truth in the air and on the ground."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from math import inf, pi, radians
+
+import numpy as np
+import pytest
+
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.mathematics.earth import matrix_en, to_ecef
+from bench.core.mathematics.rotation import to_euler
+from bench.core.records.data import Trajectory
+from bench.core.records.flight_specs import MULTIROTOR, FlightSpec, Leg, LegStart, Runway
+from bench.core.words.exceptions import FlightError
+from bench.io.config.library import read_aircraft
+from bench.simulation.flight.guidance.rides import Ride
+from bench.simulation.flight.legs.climbs import Climb, Descend
+from bench.simulation.flight.legs.keys import check_leg
+from bench.simulation.flight.legs.level import Straight
+from bench.simulation.flight.legs.rotors import Goto, Hover, Land, Orbit, Sprint, Yaw
+from bench.simulation.flight.legs.runway import Static, TakeOff
+from bench.simulation.flight.recorder import fly_pieces, prepare
+from tests.flight.inertial import replay
+from tests.flight.plans import AEROSONDE, fly_here
+from tests.flight.test_aircraft_files import AIRCRAFT
+
+HUMMINGBIRD = read_aircraft(AIRCRAFT / "hummingbird", AIRCRAFT)
+PAD = Runway(radians(47.26), radians(11.34), 600.0, 0.6)
+AIR = 610.0  # where a flight in the air begins [m]
+
+
+def plan(*legs: Leg, on_ground: bool = False, **changes) -> FlightSpec:
+    """Legs in calm air from 10 m above the pad, heading 0.6 rad, or from the pad itself."""
+    values = {
+        "aircraft": HUMMINGBIRD,
+        "rate": 200.0,
+        "lat": PAD.lat,
+        "lon": PAD.lon,
+        "alt": PAD.alt if on_ground else AIR,
+        "heading": PAD.heading,
+        "speed": 0.0,
+        "wind_from": radians(250.0),
+        "wind_speed": 0.0,
+        "severity": 0,
+        "turbulence_seed": 1,
+        "duration": None,
+        "runway": PAD,
+    }
+    return FlightSpec(legs=legs, on_ground=on_ground, **values | changes)
+
+
+@dataclass
+class Flown:
+    """A flight in the plane of its start [m], at the rate of its truth."""
+
+    truth: Trajectory
+
+    def __post_init__(self):
+        first = self.truth.lla[0]
+        C_en = matrix_en(first[0], first[1])
+        self.ned: FloatArray = (to_ecef(self.truth.lla) - to_ecef(first)) @ C_en
+        self.roll, self.pitch, self.heading = to_euler(self.truth.q_nb)
+
+    def leg(self, number: int) -> slice:
+        begin, end, _ = self.truth.events.select("leg")[number - 1]
+        return slice(*np.searchsorted(self.truth.t, [begin - 1e-9, end + 1e-9]))
+
+    def tilt(self) -> FloatArray:
+        return np.rad2deg(np.arccos(np.cos(self.roll) * np.cos(self.pitch)))
+
+
+TOUR = (
+    Static(2.0),
+    TakeOff(to_height=10.0, rate=2.0),
+    Hover(10.0),
+    Goto(north=40.0, east=0.0, speed=6.0),
+    Goto(north=40.0, east=30.0, speed=6.0, alt=614.0, nose="course"),
+    Yaw(radians(-120.0), radians(60.0)),
+    Orbit(radius=15.0, speed=6.0, laps=1.0),
+    Sprint(distance=130.0, speed=15.0),
+    Hover(4.0),
+    Climb(630.0, 4.0),
+    Descend(606.0, 2.0),
+    Land(),
+    Static(2.0),
+)
+
+
+@pytest.fixture(scope="module")
+def tour() -> Flown:
+    return Flown(fly_here(plan(*TOUR, on_ground=True)))
+
+
+def test_a_calm_tour_is_flown_as_its_legs_say(tour):
+    """Ends of the legs, read from the truth: the plane of the pad, of which the start is the origin."""
+    ends = [tour.ned[tour.leg(k)][-1] for k in range(1, len(TOUR) + 1)]
+    takeoff, hover, north, corner, yaw, orbit = ends[1:7]
+    for found, height in ((takeoff, 10.0), (hover, 10.0)):
+        assert np.abs(found - [0.0, 0.0, -height + 0.098]).max() < 0.05
+    assert np.abs(north - [40.0, 0.0, -9.902]).max() < 0.05
+    assert np.abs(corner - [40.0, 30.0, -13.902]).max() < 0.05
+    assert np.abs(yaw - corner).max() < 0.05
+    assert np.abs(orbit - corner).max() < 0.1
+    sprint = ends[7] - orbit
+    course = tour.heading[tour.leg(8)][0]
+    assert np.abs(sprint - 130.0 * np.array([np.cos(course), np.sin(course), 0.0])).max() < 0.2
+    assert -ends[9][2] == pytest.approx(29.9, abs=0.05)
+    assert -ends[10][2] == pytest.approx(5.9, abs=0.05)
+    assert abs(ends[12][2]) < 0.005
+
+
+def test_a_calm_hover_and_its_paths_keep_their_bounds(tour):
+    """A hover 0.05 m; at 6 m/s 0.5 m across the way, in the sprint 1 m, and all within the limit of tilt."""
+    hover = tour.ned[tour.leg(3)]
+    assert np.abs(hover[400:] - hover[-1]).max() < 0.05
+    north = tour.ned[tour.leg(4)]
+    assert np.abs(north[:, 1]).max() < 0.5
+    sprint, course = tour.ned[tour.leg(8)], tour.heading[tour.leg(8)][0]
+    across = (sprint - sprint[0]) @ [-np.sin(course), np.cos(course), 0.0]
+    assert np.abs(across).max() < 1.0
+    assert np.ptp(sprint[:, 2]) < 0.5
+    assert 45.0 < tour.tilt().max() < 60.5
+    speed = np.hypot(*tour.truth.vel_n[tour.leg(8)].T[:2])
+    assert 14.5 < speed.max() < 15.6
+
+
+def test_an_orbit_looks_at_its_center(tour):
+    rows = tour.leg(7)
+    ned, heading = tour.ned[rows], tour.heading[rows]
+    ahead = np.array([np.cos(heading[0]), np.sin(heading[0])])
+    center = ned[0, :2] + 15.0 * ahead
+    to_center = center - ned[:, :2]
+    assert np.abs(np.hypot(*to_center.T) - 15.0).max() < 0.5
+    off = np.angle(np.exp(1j * (np.arctan2(to_center[:, 1], to_center[:, 0]) - heading)))
+    assert np.rad2deg(np.abs(off)).max() < 3.0
+    east_of = np.unwrap(np.arctan2(-to_center[:, 1], -to_center[:, 0]))
+    assert east_of[-1] - east_of[0] == pytest.approx(2 * pi, abs=0.02)
+
+
+def test_a_calm_flight_replays_in_the_air_to_a_tenth_of_a_millimeter(tour):
+    """By two samples at 200 Hz; with lift-off and touch-down, which are not smooth, to 5 mm."""
+    first, last = tour.leg(3).start, tour.leg(11).stop
+    truth = tour.truth
+    air = dataclasses.replace(
+        truth,
+        **{name: getattr(truth, name)[first:last] for name in ("t", "lla", "vel_n", "q_nb")},
+        **{name: getattr(truth, name)[first : last - 1] for name in ("dtheta_b", "dvel_b")},
+    )
+    assert replay(shifted(air), 200.0)[0] < 1e-4
+    assert replay(truth, 200.0)[0] < 5e-3
+
+
+def shifted(truth: Trajectory) -> Trajectory:
+    """The same motion from t = 0 on."""
+    return dataclasses.replace(truth, t=truth.t - truth.t[0])
+
+
+def test_air_data_and_rotor_speeds_are_those_of_a_hover(tour):
+    """The weight by the published thrust; no angle of attack where there is no flow; no control surfaces."""
+    air, t = tour.truth.air, tour.truth.air.t
+    begin, end, _ = tour.truth.events.select("leg")[2]
+    rows = (t > begin + 2.0) & (t < end)
+    density = air.pressure[rows] / (287.05287 * air.temperature[rows])
+    expected = np.sqrt(0.5 * 9.8062 / 4 / 5.57e-6 * 1.225 / density)
+    assert np.abs(air.engine_speed[rows] / expected - 1).max() < 1e-3
+    slow = air.airspeed_true < 3.0
+    assert 0.2 < slow.mean() < 0.9
+    assert not air.alpha[slow].any()
+    assert not air.beta[slow].any()
+    assert air.alpha[~slow].all()
+    assert 0.0 < tour.truth.controls.throttle[rows].min() < tour.truth.controls.throttle.max() < 1.0
+    assert not np.any([tour.truth.controls.aileron, tour.truth.controls.elevator, tour.truth.controls.rudder])
+
+
+def test_a_lift_off_in_wind_keeps_its_heading():
+    """8 m/s from the side: the weight is taken at once, the tilt of 25 deg within a second."""
+    flown = Flown(
+        fly_here(plan(TakeOff(to_height=6.0, rate=2.0), Hover(3.0), on_ground=True, wind_speed=8.0))
+    )
+    off = np.rad2deg(np.abs(np.angle(np.exp(1j * (flown.heading - 0.6)))))
+    assert off.max() < 3.0
+    assert flown.tilt()[-1] == pytest.approx(25.0, abs=1.0)
+    assert np.hypot(*flown.ned[-1, :2]) < 0.05
+
+
+def hold_in_moderate_air(seed: int, wind: float = 0.0) -> tuple[float, float]:
+    """Return rms and largest horizontal distance of a minute's hover [m]."""
+    spec = plan(Hover(60.0), severity=4, turbulence_seed=seed, wind_speed=wind, rate=100.0)
+    ned = Flown(fly_here(spec)).ned
+    off = np.hypot(*ned.T[:2])
+    assert np.abs(ned[:, 2]).max() < 0.5
+    return float(np.sqrt(np.mean(off**2))), float(off.max())
+
+
+def test_moderate_air_is_held():
+    rms, largest = hold_in_moderate_air(3)
+    assert 0.01 < rms < 0.5
+    assert largest < 1.5
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("wind", [0.0, 5.0])
+def test_moderate_air_is_held_over_ten_seeds(wind):
+    found = np.array([hold_in_moderate_air(seed, wind) for seed in range(10)])
+    assert (found < [0.5, 1.5]).all(), found
+
+
+def test_a_flight_in_pieces_is_the_whole_flight():
+    spec = plan(Hover(2.0), Goto(north=10.0, east=5.0, speed=4.0), wind_speed=4.0, severity=3)
+    whole, pieces = fly_here(spec), list(fly_pieces(spec, seconds=1.5))
+    assert len(pieces) > 2
+    assert np.concatenate([piece.dvel_b for piece in pieces]).tobytes() == whole.dvel_b.tobytes()
+
+
+def test_what_the_tilt_does_not_give_ends_the_flight_with_one_message():
+    fast = plan(Sprint(distance=200.0, speed=15.0, off_nose=radians(250.0) - 0.6), wind_speed=10.0)
+    with pytest.raises(FlightError, match=r"leg 1 sprint: .* off its path: speed and wind ask for more"):
+        fly_here(fast)
+    with pytest.raises(
+        FlightError, match=r"no hover found for hummingbird in a wind of 25 m/s: .* 60 at most"
+    ):
+        prepare(plan(Hover(1.0), wind_speed=25.0), 1 / 400)
+    with pytest.raises(FlightError, match=r"leg 1 descend: .* flew into the ground"):
+        fly_here(plan(Descend(599.0, 2.0)))
+    with pytest.raises(FlightError, match=r"leg 1 drop: .* no ground within 0.5 m below"):
+        fly_here(plan(Drop()))
+
+
+class Drop(Leg):
+    """Land on ground that is not there."""
+
+    kind = "drop"
+    flown_by = (MULTIROTOR,)
+    leaves = "ground"
+
+    def fly(self, cockpit):
+        return cockpit.touch_down(0.3, 0.5)
+
+
+REFUSED = [
+    (HUMMINGBIRD, Straight(5.0), "is flown by an aircraft with wings, and the hummingbird is none"),
+    (AEROSONDE, Hover(5.0), "is flown by a multirotor, and the aerosonde is none"),
+    (HUMMINGBIRD, Climb(700.0, 2.0, speed=5.0), "speed_mps = 5 m/s is an airspeed, which a multirotor"),
+    (HUMMINGBIRD, TakeOff(10.0, 2.0, 5.0), "speed_mps = 5 m/s is not used by a multirotor"),
+    (AEROSONDE, TakeOff(50.0, 2.0), "speed_mps is missing"),
+    (AEROSONDE, TakeOff(10.0, 2.0, 25.0), "to_height_m = 10 m is below the 20 m of an aircraft with wings"),
+    (HUMMINGBIRD, Goto(10.0, 0.0, 17.0), "speed_mps = 17 m/s is above the 16 m/s"),
+    (HUMMINGBIRD, Orbit(2.0, 10.0), "speed_mps = 10 m/s on radius_m = 2 m needs a tilt of 78.9"),
+]
+
+
+@pytest.mark.parametrize(("aircraft", "leg", "message"), REFUSED)
+def test_a_leg_that_is_not_flown_says_why(aircraft, leg, message):
+    start = LegStart(aircraft, 600.0, PAD, leg.needs)
+    assert [line for line in check_leg(leg, start) if message in line], check_leg(leg, start)
+
+
+def test_the_legs_of_a_tour_are_accepted():
+    start, found = LegStart(HUMMINGBIRD, 600.0, PAD, "ground"), []
+    for leg in TOUR:
+        found += check_leg(leg, start)
+        start = dataclasses.replace(start, alt=leg.alt_after(start), after=leg.leaves)
+    assert found == []
+
+
+@pytest.mark.parametrize("length", [0.3, 20.0, 500.0])
+def test_a_ride_is_smooth_up_to_its_jerk_and_keeps_its_limits(length):
+    """Its derivatives are those of its length, by central differences; rest at both ends."""
+    ride = Ride.plan(length, 6.0, 3.0)
+    t, h = np.linspace(-0.1, ride.duration + 0.1, 4001), 1e-5
+    rows = np.array([ride.at(x) for x in t])
+    slopes = np.array([(np.array(ride.at(x + h)) - ride.at(x - h)) / (2 * h) for x in t])
+    assert np.abs(slopes[:, :3] - rows[:, 1:]).max() < 5e-3
+    assert rows[-1].tolist() == [length, 0.0, 0.0, 0.0]
+    assert rows[0].tolist() == [0.0, 0.0, 0.0, 0.0]
+    assert rows[:, 1].max() <= 6.0 + 1e-9
+    assert np.abs(rows[:, 2]).max() <= 3.0 + 1e-9
+    if length == 500.0:
+        assert rows[:, 1].max() == pytest.approx(6.0)
+        assert np.abs(rows[:, 2]).max() == pytest.approx(3.0, rel=1e-3)
+    assert inf > ride.duration > 0.0
