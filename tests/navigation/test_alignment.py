@@ -113,7 +113,10 @@ def test_a_profile_says_which(asked, told):
 @pytest.mark.parametrize(
     ("asked", "message"),
     [
-        ({"duration_s": 20.0}, "duration_s is for kind = 'level' or 'course'; kind = 'given' takes no time"),
+        (
+            {"duration_s": 20.0},
+            "duration_s is for 'level', 'hover' or 'course'; kind = 'given' takes no time",
+        ),
         ({"kind": "level", "drift_deg": 3.0}, "drift_deg is for kind = 'course', not for kind = 'level'"),
         (
             {"kind": "level", "duration_s": 80.0},

@@ -40,9 +40,13 @@ TABLES = (
 LEFT_OUT = {
     "airliner",
     "alpine-approach",
+    "delivery",
     "gate-to-gate",
     "holding-jammed",
+    "hover-and-sprint",
+    "inspection",
     "mapping",
+    "survey-multirotor",
     "terrain-following",
     "touch-and-go",
 }

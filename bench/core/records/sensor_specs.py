@@ -406,8 +406,8 @@ class SensorsSpec(InstrumentSpecs):
     initial_heading_sd: float  # down component of phi_n [rad]
     output_rate: float  # of the solutions [Hz]
     date: float = DEFAULT_DATE  # of the flight [decimal years]
-    alignment: str = "given"  # initial values given to the filters: "given", "level" or "course"
-    align_for: float = 60.0  # level: longest standstill to use, course: length of the alignment [s]
+    alignment: str = "given"  # initial values given to the filters: "given", "level", "hover" or "course"
+    align_for: float = 60.0  # level: longest standstill to use, else: length of the alignment [s]
     drift_sd: float = 0.0  # course: of the angle from course to nose [rad]
     qnh: float = 101325.0  # altimeter setting of a physical barometer [Pa]
     static_port_b: tuple[float, float, float] = (0.0, 0.0, 0.0)  # from the center of gravity [m], b

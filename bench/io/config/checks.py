@@ -15,11 +15,13 @@ from bench.core.words.wording import quantity, suggest
 from bench.evaluation.requirements.required_metrics import is_metric
 from bench.io.config.profile_tables import ExperimentTable, RequirementTable
 from bench.navigation.built_in import BUILT_IN
+from bench.navigation.error_state_filter.rough_heading import UNKNOWN_HEADING_SD
 from bench.simulation.signals.magnetic import FIRST_YEAR, LAST_YEAR
 
 _TICKS = 20  # set-points of guidance a second
 LABEL = re.compile(r"[A-Za-z0-9_.-]{1,100}")
 """Label of a filter, a part of the names of its files."""
+_DRIFT_DEG = 10.0  # 1 sigma: a crosswind of a sixth of the airspeed, unknown to the filter
 
 
 def check_rates(table: ExperimentTable, sensors: Mapping[str, Any]) -> list[str]:
@@ -87,10 +89,10 @@ def check_alignment(table: ExperimentTable) -> list[str]:
     asked = table.alignment
     wrong, kind = [], f"kind = '{asked.kind}'"
     if asked.kind == "given" and asked.duration_s is not None:
-        wrong.append(f"[alignment] duration_s is for kind = 'level' or 'course'; {kind} takes no time")
+        wrong.append(f"[alignment] duration_s is for 'level', 'hover' or 'course'; {kind} takes no time")
     if asked.kind != "course" and asked.drift_deg is not None:
         wrong.append(f"[alignment] drift_deg is for kind = 'course', not for {kind}")
-    if asked.kind == "course" and table.sensors.gnss is None:
+    if asked.kind in ("hover", "course") and table.sensors.gnss is None:
         wrong.append(f"[alignment] {kind} needs a gnss in [sensors]")
     duration = choose_alignment_time(table)
     if asked.kind != "given" and duration > (begin := table.evaluation.window().begin):
@@ -102,10 +104,17 @@ def check_alignment(table: ExperimentTable) -> list[str]:
 
 
 def choose_alignment_time(table: ExperimentTable) -> float:
-    """Return the duration of an alignment [s]; default 60 s at rest, 10 s on the move."""
+    """Return the duration of an alignment [s]; default 60 s at rest, 4 s in a hover, 10 s on the move."""
     if table.alignment.duration_s is not None:
         return table.alignment.duration_s
-    return 10.0 if table.alignment.kind == "course" else 60.0
+    return {"hover": 4.0, "course": 10.0}.get(table.alignment.kind, 60.0)
+
+
+def choose_drift(table: ExperimentTable) -> float:
+    """Return the standard deviation of the angle from course to heading [rad]; of a hover it is any."""
+    if table.alignment.kind == "hover":
+        return UNKNOWN_HEADING_SD
+    return math.radians(_DRIFT_DEG if table.alignment.drift_deg is None else table.alignment.drift_deg)
 
 
 def check_sensors(table: ExperimentTable, sensors: Mapping[str, Any], has_air: bool) -> list[str]:

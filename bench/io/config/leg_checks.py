@@ -111,6 +111,8 @@ def check_radar_use(
 
 def _check_start(table: ProfileTable, aircraft: AircraftSpec) -> list[str]:
     start = table.start
+    if aircraft.hovers and table.alignment.kind == "course":
+        return ["[alignment] kind = 'course': the course of a multirotor gives no heading; use 'hover'"]
     if start.on_ground:
         wrong = []
         if start.speed_mps is not None:

@@ -61,7 +61,6 @@ from bench.simulation.signals.air import SEA_LEVEL_PRESSURE
 from bench.simulation.signals.magnetic import decimal_year
 
 _OUTSIDE = ("file:", "command:")
-_DRIFT_DEG = 10.0  # 1 sigma: a crosswind of a sixth of the airspeed, unknown to the filter
 DEFAULT_DAY = date(2026, 1, 1)
 """Date of a flight whose profile gives none."""
 
@@ -392,7 +391,7 @@ def _make_sensors(
         output_rate=float(table.evaluation.output_hz),
         alignment=table.alignment.kind,
         align_for=checks.choose_alignment_time(table),
-        drift_sd=math.radians(_DRIFT_DEG if table.alignment.drift_deg is None else table.alignment.drift_deg),
+        drift_sd=checks.choose_drift(table),
         faults=tuple(fault_tables.make_fault(row) for row in table.fault),
     )
 

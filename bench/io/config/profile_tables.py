@@ -192,14 +192,15 @@ class InitialErrorSdTable(Table):
 class AlignmentTable(Table):
     """Initial state that the filters get; they find the rest by alignment.
 
-    ``given``: all of it. ``level``: the position at standstill. ``course``: nothing.
+    ``given``: all of it. ``level``: the position at standstill. ``hover``: nothing; the heading may
+    be any. ``course``: nothing.
     """
 
-    kind: Literal["given", "level", "course"] = "given"
+    kind: Literal["given", "level", "hover", "course"] = "given"
     """Kind of the initial state that the filters get."""
     duration_s: Annotated[float, between(1, 3600)] | None = None
-    """Longest standstill used, for "level" (default 60); length of the track, for "course"
-    (10), less where the turn-on bias of a gyro would turn it by 15 deg."""
+    """Longest standstill used, for "level" (default 60); length of the steady flight, for "hover" (4), or of
+    the track, for "course" (10), less where the turn-on bias of a gyro would turn it by 15 deg."""
     drift_deg: Annotated[float, between(0, 90)] | None = None
     """Standard deviation of the angle from course to heading by wind and sideslip, for "course". Default:
     10."""

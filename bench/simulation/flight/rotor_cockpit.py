@@ -29,7 +29,7 @@ _EARTH = 6.371e6  # radius by which the ground falls away from the plane of the 
 _SPIN_UP = 2.0  # until the rotors idle [s]
 _LEAVES = 0.15  # height of the path above the aircraft at which the rotors take its weight [m]
 _PATIENCE = 5.0  # for a lift-off, after which it counts as stuck [s]
-_STAYS = 4  # ticks on the legs after which it has landed
+_STAYS = 2  # ticks on the legs after which it has landed
 _FAR = 10.0  # farther from its path the aircraft has lost it [m]
 
 

@@ -19,7 +19,7 @@ def draw_initial_state(truth: Trajectory, spec: SensorsSpec, draws: SensorDraws)
     sd = np.array([*spec.initial_pos_sd, *spec.initial_vel_sd, *attitude_sd])
     error = sd * draws.constant("initial", 9)
     q_nb = rotation.multiply(rotation.from_rotvec(error[6:]), truth.q_nb[0])
-    given = {"given": 9, "level": 3, "course": 0}[spec.alignment]  # first states of the nine
+    given = {"given": 9, "level": 3, "hover": 0, "course": 0}[spec.alignment]  # first states of the nine
     sd[given:] = np.inf
     return InitialState(
         t=float(truth.t[0]),
@@ -27,7 +27,7 @@ def draw_initial_state(truth: Trajectory, spec: SensorsSpec, draws: SensorDraws)
         vel_n=truth.vel_n[0] + error[3:6] if given > 3 else np.full(3, np.nan),
         q_nb=q_nb if given > 6 else np.full(4, np.nan),
         cov=np.diag(sd**2),
-        alignment=spec.alignment,
+        alignment="motion" if spec.alignment == "hover" else spec.alignment,
         align_for=spec.align_for,
         drift_sd=spec.drift_sd,
     )
