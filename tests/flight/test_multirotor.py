@@ -14,7 +14,7 @@ from bench.core.mathematics.earth import matrix_en, to_ecef
 from bench.core.mathematics.rotation import to_euler
 from bench.core.records.data import Trajectory
 from bench.core.records.flight_specs import MULTIROTOR, FlightSpec, Leg, LegStart, Runway
-from bench.core.words.exceptions import FlightError
+from bench.core.words.exceptions import ConfigError, FlightError
 from bench.io.config.library import read_aircraft
 from bench.simulation.flight.guidance.rides import Ride
 from bench.simulation.flight.legs.climbs import Climb, Descend
@@ -227,6 +227,63 @@ def test_what_the_tilt_does_not_give_ends_the_flight_with_one_message():
         fly_here(plan(Descend(599.0, 2.0)))
     with pytest.raises(FlightError, match=r"leg 1 drop: .* no ground within 0.5 m below"):
         fly_here(plan(Drop()))
+
+
+@pytest.fixture
+def own(tmp_path):
+    """A multirotor of somebody: the Hummingbird with some text of its model or its sheet changed."""
+
+    def make(old: str, new: str):
+        folder = tmp_path / "aircraft" / "kite"
+        folder.mkdir(parents=True, exist_ok=True)
+        for shipped, name in (("hummingbird.xml", "kite.xml"), ("aircraft.toml", "aircraft.toml")):
+            text = (AIRCRAFT / "hummingbird" / shipped).read_text()
+            (folder / name).write_text(text.replace(old, new))
+        return read_aircraft(folder, tmp_path)
+
+    return make
+
+
+def test_a_heavier_multirotor_of_somebody_hovers_by_its_own_figures(own):
+    """Mass is read from the model: twice of it turns the rotors faster by the root of 2."""
+    light, heavy = (
+        fly_here(plan(Hover(3.0), aircraft=one)) for one in (HUMMINGBIRD, own('"KG"> 0.5 <', '"KG"> 1.0 <'))
+    )
+    ratio = heavy.air.engine_speed[-1] / light.air.engine_speed[-1]
+    assert ratio == pytest.approx(np.sqrt(2.0), rel=1e-6)
+    assert np.abs(Flown(heavy).ned).max() < 0.001
+
+
+BROKEN = [
+    ('value="200.0"> rotor/lag', 'value="0"> rotor/lag', "rotor/lag-rad_sec must be above 0; it is 0"),
+    ("yaw-gain         = 3.0", "yaw-gain         = 0.0", "guidance/yaw-gain must be above 0; it is 0"),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "message"), BROKEN)
+def test_a_figure_that_a_model_lacks_is_named(own, old, new, message):
+    with pytest.raises(FlightError, match=rf"aircraft kite: {message}"):
+        prepare(plan(Hover(1.0), aircraft=own(old, new)), 1 / 400)
+
+
+MISTAKES = [
+    (
+        "min_speed_mps   = 0.0",
+        "min_speed_mps   = 2.0",
+        "min_speed_mps = 2 m/s must be 0 with kind = 'multirotor'",
+    ),
+    ('kind  = "multirotor"', "", "min_speed_mps = 0 m/s is below 1 m/s; 0 is for kind = 'multirotor'"),
+    ("[stand] ", "[[trim]]\nalt_m = 1.0\nspeed_mps = 5.0\n\n[stand] ", "[trim] is not used with kind"),
+    ('<system file="multirotor"/>', "", "the model must name <system file='multirotor'/>"),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "message"), MISTAKES)
+def test_a_mistake_in_its_sheet_is_said_in_one_line(own, old, new, message):
+    with pytest.raises(ConfigError) as caught:
+        own(old, new)
+    assert len(caught.value.messages) == 1
+    assert message in caught.value.messages[0]
 
 
 class Drop(Leg):

@@ -11,6 +11,7 @@ import numpy as np
 from bench.core.mathematics.arrays import FloatArray
 from bench.core.records.flight_specs import FlightSpec
 from bench.core.words.exceptions import FlightError
+from bench.simulation.flight.executive import find_property
 from bench.simulation.flight.rotor_cockpit import ROTORS, RotorCockpit
 from bench.simulation.flight.standing import come_to_rest, set_down
 from bench.simulation.flight.trimming import (
@@ -29,6 +30,20 @@ _HOVERS = 0.3  # share of the fastest speed at which the search begins
 _LAGS = 35.0  # time constants after which a rotor turns as told to the last digit
 _CLEAR = 10.0  # legs off the ground for the trim of a flight that starts on it [m]
 _SETTLED = 1e-9  # largest acceleration a trim may leave [m/s^2, rad/s^2]
+_AIRFRAME = (
+    "rotor/thrust-n_s2",
+    "rotor/torque-nm_s2",
+    "rotor/lag-rad_sec",
+    "rotor/most-rad_sec",
+    "rotor/arm-forward-m",
+    "rotor/arm-right-m",
+    "rotor/density-ratio",
+)
+_GAINS = (
+    *(f"{loop}-gain" for loop in ("position", "velocity", "height", "climb", "attitude", "yaw")),
+    *(f"{loop}-gain" for loop in ("rate", "yaw-rate", "yaw-share", "idle")),
+    "air-lag-rad_sec",
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,8 +92,16 @@ def trim_hover(fdm: Any, condition: TrimCondition, max_tilt: float, say: Say = k
     return HoverTrim(tuple(speeds), roll, pitch, residual)
 
 
+def _check_model(fdm: Any) -> None:
+    """Raise FlightError unless all that the airframe declares and all gains are above 0."""
+    for name in (*_AIRFRAME, *(f"guidance/{gain}" for gain in _GAINS)):
+        if not (value := find_property(fdm, name).get_double_value()) > 0:
+            raise FlightError(f"aircraft {fdm.get_model_name()}: {name} must be above 0; it is {value:g}")
+
+
 def prepare_hover(fdm: Any, spec: FlightSpec, condition: TrimCondition, say: Say) -> RotorCockpit:
     """Return the guidance of a multirotor at the start of a plan, trimmed in a hover or on its legs."""
+    _check_model(fdm)
     above = _CLEAR if spec.on_ground else 0.0
     trim_hover(fdm, replace(condition, alt=condition.alt + above), spec.aircraft.max_bank, say)
     if spec.on_ground:

@@ -244,13 +244,11 @@ class _Turbulence:
         if not self._rows:
             self._go_on()
         u, v, w, *rates = self._rows.pop()
-        read_north, read_east, _ = self._over_ground
-        north, east = read_north() - self._wind_fps[0], read_east() - self._wind_fps[1]
-        speed = math.hypot(north, east)
         if self._carried:
-            self._turn_axes(*((north, east) if speed > self._carried else self._upwind))
-        elif speed * FT > _MOVING:
-            self._north, self._east = north / speed, east / speed
+            c, s = self._turn
+            self._north, self._east = c * self._north - s * self._east, s * self._north + c * self._east
+        else:
+            self._follow_path()
         set_north, set_east, set_down = self._set_n
         set_north((self._north * u - self._east * v) / FT)
         set_east((self._east * u + self._north * v) / FT)
@@ -259,23 +257,31 @@ class _Turbulence:
             write(rate)
         return self._run()
 
-    def _turn_axes(self, north: float, east: float) -> None:
-        """Turn the axes of what hovers towards a direction, at most at the fastest turn."""
+    def _follow_path(self) -> None:
+        """Lay the axes along the path through the air."""
+        read_north, read_east, _ = self._over_ground
+        north, east = read_north() - self._wind_fps[0], read_east() - self._wind_fps[1]
+        speed = math.hypot(north, east)
+        if speed * FT > _MOVING:
+            self._north, self._east = north / speed, east / speed
+
+    def _plan_turn(self, north: float, east: float) -> None:
+        """Plan the turn of the axes of what hovers, step by step, towards a direction until the next tick."""
         across, along = self._north * east - self._east * north, self._north * north + self._east * east
         most = _TURN * self._dt
-        turn = max(-most, min(most, math.atan2(across, along)))
-        s, c = math.sin(turn), math.cos(turn)
-        self._north, self._east = c * self._north - s * self._east, s * self._north + c * self._east
+        turn = max(-most, min(most, math.atan2(across, along) / self._per_tick))
+        self._turn = math.cos(turn), math.sin(turn)
 
     def _go_on(self) -> None:
         """Draw the gusts of the next 0.05 s, with the wind, height and airspeed at its start."""
         self._wind_fps = [read() for read in self._wind]
-        through_air = math.hypot(
-            *(read() - wind for read, wind in zip(self._over_ground, self._wind_fps, strict=True))
-        )
-        through_air = max(through_air, self._carried)
-        upwind = [-wind for wind in self._wind_fps[:2]]
-        self._upwind = upwind if math.hypot(*upwind) * FT > _MOVING else (self._north, self._east)
+        path = [read() - wind for read, wind in zip(self._over_ground, self._wind_fps, strict=True)]
+        through_air = math.hypot(*path)
+        if through_air < self._carried:
+            through_air, path = self._carried, [-wind for wind in self._wind_fps]
+        if self._carried:
+            calm = math.hypot(*path[:2]) * FT < _MOVING
+            self._plan_turn(*((self._north, self._east) if calm else path[:2]))
         figures = scales_and_intensities(self._agl() * FT, self._severity)
         phi, noise = self._filters.make_step(figures[0], figures[1], through_air * FT * self._dt)
         drawn = self._rng.standard_normal((self._per_tick, len(phi))) @ noise.T
