@@ -122,7 +122,7 @@ def test_a_profile_says_which(asked, told):
             {"kind": "level", "duration_s": 80.0},
             "duration_s = 80 s must not go beyond [evaluation] from_s = 60",
         ),
-        ({"kind": "lev"}, "kind = 'lev' must be 'given', 'level' or 'course'"),
+        ({"kind": "lev"}, "kind = 'lev' must be 'given', 'level', 'hover' or 'course'"),
     ],
 )
 def test_a_profile_that_asks_for_the_impossible_is_refused(asked, message):

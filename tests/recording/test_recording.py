@@ -800,26 +800,42 @@ def test_limits_hold_all_values_and_waste_little(low, high):
     assert top - bottom <= max(3.0 * (high - low), 3.0 * abs(high), 3.0)
 
 
-@pytest.mark.parametrize(("mesh", "nose_x"), [("uav", 0.36), ("light-single", 0.308), ("jet", 0.52)])
-def test_the_aircraft_is_a_closed_skin_with_red_on_the_left(mesh, nose_x):
-    """Each edge belongs to two triangles in opposite directions; frame b: y to the right, z down."""
-    from bench.views.recording.meshes import MESHES
-
-    vertices, triangles, colors = MESHES[mesh]()
+def check_skin(vertices, triangles, colors):
+    """Each edge belongs to two triangles in opposite directions; a span of 1; left is as right; return it."""
     edges = np.vstack([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
     forward, backward = {tuple(e) for e in edges}, {tuple(e[::-1]) for e in edges}
     assert len(forward) == len(edges)
     assert forward == backward
     assert np.ptp(vertices[:, 1]) == pytest.approx(1.0)
-    red = (colors[:, 0] > 200) & (colors[:, 1] < 100)
-    assert vertices[triangles[red].ravel(), 1].max() < 0
-    nose = vertices[vertices[:, 0].argmax()]
-    assert nose[0] == pytest.approx(nose_x)
-    assert_allclose(np.sort(vertices[:, 1]), np.sort(-vertices[:, 1]), atol=1e-12)  # left as right
-    aft = vertices[vertices[:, 0] < -0.3]
-    assert -aft[:, 2].min() > 2 * aft[:, 2].max()  # the fin points up
+    assert_allclose(np.sort(vertices[:, 1]), np.sort(-vertices[:, 1]), atol=1e-12)
     a, b, c = (vertices[triangles[:, i]] for i in range(3))
     six_volumes = np.sum(a * np.cross(b, c), axis=1)
     for part in np.unique(colors, axis=0):
         of_part = (colors == part).all(axis=1)
         assert six_volumes[of_part].sum() > 0  # the normals point outward
+    return vertices, triangles, colors
+
+
+def test_a_multirotor_has_four_disks_and_orange_ones_ahead():
+    from bench.views.recording.meshes import MESHES
+
+    vertices, triangles, colors = check_skin(*MESHES["multirotor"]())
+    orange = (colors[:, 2] < 100) & (colors[:, 0] > 200)
+    ahead = vertices[triangles[orange].ravel()]
+    assert ahead[:, 0].min() > 0.0
+    assert ahead[:, 2].max() < 0.0  # above the arms
+    assert vertices[:, 2].max() > 0.1  # legs below
+
+
+@pytest.mark.parametrize(("mesh", "nose_x"), [("uav", 0.36), ("light-single", 0.308), ("jet", 0.52)])
+def test_the_aircraft_is_a_closed_skin_with_red_on_the_left(mesh, nose_x):
+    """Each edge belongs to two triangles in opposite directions; frame b: y to the right, z down."""
+    from bench.views.recording.meshes import MESHES
+
+    vertices, triangles, colors = check_skin(*MESHES[mesh]())
+    red = (colors[:, 0] > 200) & (colors[:, 1] < 100)
+    assert vertices[triangles[red].ravel(), 1].max() < 0
+    nose = vertices[vertices[:, 0].argmax()]
+    assert nose[0] == pytest.approx(nose_x)
+    aft = vertices[vertices[:, 0] < -0.3]
+    assert -aft[:, 2].min() > 2 * aft[:, 2].max()  # the fin points up

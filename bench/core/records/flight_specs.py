@@ -235,7 +235,7 @@ class FlightSpec:
     @property
     def mesh(self) -> str:
         """Class of the simple shape in the recording."""
-        return MESH_OF_CLASS[self.aircraft.category]
+        return self.aircraft.kind if self.aircraft.hovers else MESH_OF_CLASS[self.aircraft.category]
 
 
 @dataclass(frozen=True, slots=True)

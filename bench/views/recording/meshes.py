@@ -154,5 +154,31 @@ def _make_jet() -> Mesh:
     )
 
 
-MESHES = {"uav": _make_uav, "light-single": _make_light_single, "jet": _make_jet}
+def _make_multirotor() -> Mesh:
+    """Return four rotors in an X, orange those ahead, on arms with legs."""
+
+    def make_rod(begin: FloatArray, end: FloatArray, radius: float) -> list[FloatArray]:
+        axis = (end - begin) / np.linalg.norm(end - begin)
+        across = np.cross(axis, [0.6, 0.0, 0.8] if abs(axis[2]) < 0.7 else [1.0, 0.0, 0.0])
+        across /= np.linalg.norm(across)
+        circle = _CIRCLE[:, 1:] @ np.array([across, np.cross(axis, across)])
+        return [begin + radius * circle, end + radius * circle]
+
+    down, parts = np.array([0.0, 0.0, 0.12]), []
+    for x in (0.28, -0.28):
+        for y in (-0.28, 0.28):
+            hub = np.array([x, y, 0.0])
+            parts += [(make_rod(np.zeros(3), hub, 0.02), _BODY), (make_rod(hub, hub + down, 0.012), _DARK)]
+            disk = make_rod(hub - 0.25 * down, hub - 0.35 * down, 0.22)
+            parts.append((disk, _ORANGE if x > 0.0 else _WHITE))
+    body = make_rod(-0.5 * down, 0.5 * down, 0.10)
+    return _join_parts([*parts, (body, _DARK)])
+
+
+MESHES = {
+    "multirotor": _make_multirotor,
+    "uav": _make_uav,
+    "light-single": _make_light_single,
+    "jet": _make_jet,
+}
 """Shapes by ``AircraftSpec.mesh``."""
