@@ -40,6 +40,7 @@ from bench.navigation import built_in
 from bench.navigation.mechanization import propagate
 from bench.navigation.models.loose_tight import Loose
 from bench.simulation.flight.legs.level import Straight
+from bench.simulation.flight.legs.rotors import Goto, Hover, Orbit
 from bench.simulation.flight.legs.turns import Turn
 from bench.views.report import page
 from tests.perf import closed, hil
@@ -130,16 +131,24 @@ def flying(profile: Profile) -> list[Figure]:
         return Figure(f"recording a flight of the {spec.aircraft.name} / stepping it", cost, 1.4, "x")
 
     whole = ratio(lambda: list(recorder.fly_pieces(profile.flight)), lambda: step(profile.flight), 3)
+    rotors = turning("hover-and-sprint")
+    cost = float(np.median([cpu(lambda: record(rotors)) for _ in range(5)]))
+    flown = rotors.duration or 0.0
     return [
-        *(recording(name) for name in ("figure-eight", "circuit-navion", "long-cruise")),
+        *(recording(name) for name in ("figure-eight", "circuit-navion", "long-cruise", "hover-and-sprint")),
+        Figure("flight time / recording a flight of the hummingbird", flown / cost, 50.0, "x", True),
         Figure("first flight / stepping it", whole, 4.0, "x"),
     ]
 
 
 def turning(name: str) -> FlightSpec:
-    """Return three minutes of straights and turns with the aircraft of a profile, at its first trim."""
+    """Return three minutes with the aircraft of a profile: straights and turns at its first trim, hovers."""
     spec = config.read_profile(name).flight
     assert isinstance(spec, FlightSpec)
+    if spec.aircraft.hovers:
+        there, back = Goto(60.0, 0.0, 6.0), Goto(0.0, 0.0, 6.0)
+        legs = (Hover(20.0), there, Orbit(15.0, 5.0), back, Hover(20.0))
+        return replace(spec, alt=spec.alt + 20.0, legs=legs, duration=180.0, on_ground=False, severity=0)
     alt, speed = spec.aircraft.trims[0]
     turns = (Turn(side * np.pi / 4, np.radians(20.0)) for side in (1, -1))
     return replace(
