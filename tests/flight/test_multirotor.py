@@ -186,6 +186,22 @@ def test_a_lift_off_in_wind_keeps_its_heading():
     assert np.hypot(*flown.ned[-1, :2]) < 0.05
 
 
+def test_it_takes_off_again_from_ground_that_is_no_runway():
+    """10 m above flat ground at 600 m it starts; a second hover is 5 m above that ground."""
+    legs = (Land(), Static(1.0), TakeOff(to_height=5.0, rate=2.0), Hover(1.0))
+    flown = Flown(fly_here(plan(*legs, runway=None, flat_alt=600.0)))
+    assert flown.truth.lla[flown.leg(2), 2].max() == pytest.approx(600.098, abs=0.002)
+    assert flown.truth.lla[-1, 2] == pytest.approx(605.0, abs=0.02)
+
+
+def test_a_steep_way_keeps_the_limits_of_climb_and_descent():
+    up = Goto(north=5.0, east=0.0, speed=12.0, alt=650.0)
+    down = Goto(north=0.0, east=0.0, speed=12.0, alt=612.0)
+    sink = Flown(fly_here(plan(up, down))).truth.vel_n[:, 2]
+    assert -sink.min() == pytest.approx(HUMMINGBIRD.max_climb, abs=0.1)
+    assert sink.max() == pytest.approx(HUMMINGBIRD.max_descent, abs=0.1)
+
+
 def hold_in_moderate_air(seed: int, wind: float = 0.0) -> tuple[float, float]:
     """Return rms and largest horizontal distance of a minute's hover [m]."""
     spec = plan(Hover(60.0), severity=4, turbulence_seed=seed, wind_speed=wind, rate=100.0)

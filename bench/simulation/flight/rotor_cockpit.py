@@ -124,11 +124,16 @@ class RotorCockpit(Panel):
         self._hold()
 
     def go_to(self, place: FloatArray, speed: float, acceleration: float) -> Steps:
-        """Fly straight to a place (3,) [m], from rest to rest, at most at a speed over ground [m/s]."""
+        """Fly straight to a place (3,) [m], from rest to rest, at most at a speed over ground [m/s].
+
+        On a steep way the limits of climb and descent hold the speed down.
+        """
         begun, way = self.place, place - self.place
         length = float(np.linalg.norm(way))
         if length == 0.0:
             return iter(())
+        limit = self.aircraft.max_descent if way[2] > 0.0 else self.aircraft.max_climb
+        speed = min(speed, limit * length / max(abs(float(way[2])), 1e-9))
         ride, along, heading = Ride.plan(length, speed, acceleration), way / length, self.course
 
         def path(t: float) -> tuple[FloatArray, float, float]:
@@ -194,8 +199,16 @@ class RotorCockpit(Panel):
         for write in self._direct:
             write(speed)
 
-    def lift_off(self, alt: float, rate: float) -> Steps:
-        """Spin up, take the weight at once when the path is a little higher, and climb to a height."""
+    def ground_alt(self) -> float:
+        """Return the ellipsoidal height of the ground below the path [m]."""
+        return self.path_alt() - self.true_alt_agl()
+
+    def lift_off(self, height: float, rate: float) -> Steps:
+        """Spin up, take the weight at once when the path is a little higher, and climb to a height [m].
+
+        It is above the runway, or without one above the ground below.
+        """
+        alt = height + (self.runway.alt if self.runway else self.ground_alt())
         for share in smooth(_SPIN_UP):
             self.spin(share * self._idle)
             yield

@@ -159,10 +159,13 @@ class Land(Leg):
     def describe(self) -> str:
         return f"at {self.rate:g} m/s, touching at {self.sink:g} m/s"
 
+    def alt_after(self, start: LegStart) -> float:
+        return math.nan  # of the ground, wherever that is
+
     def fly(self, cockpit: RotorCockpit) -> Generator[None, None, str]:
         """Descend to a meter above the ground, then sink until the legs carry."""
-        ground = cockpit.path_alt() - cockpit.true_alt_agl() + (cockpit.aircraft.rest_height or 0.0)
-        if (low := ground + _NEAR_GROUND) < cockpit.path_alt():
+        low = cockpit.ground_alt() + (cockpit.aircraft.rest_height or 0.0) + _NEAR_GROUND
+        if low < cockpit.path_alt():
             yield from cockpit.go_to_height(low, self.rate)
         touched = yield from cockpit.touch_down(self.sink, 2.0 * _NEAR_GROUND)
         return f"touched at {touched:.2g} m/s"

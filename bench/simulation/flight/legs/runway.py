@@ -148,7 +148,7 @@ class TakeOff(Leg):
 
     def fly(self, cockpit: Cockpit | RotorCockpit) -> Steps:
         if isinstance(cockpit, RotorCockpit):
-            return cockpit.lift_off(cockpit.start_lla[2] + self.to_height, self.rate)
+            return cockpit.lift_off(self.to_height, self.rate)
         return self._roll_and_climb(cockpit)
 
     def _roll_and_climb(self, cockpit: Cockpit) -> Steps:
