@@ -53,7 +53,14 @@ FIRST_LEGS = {
 }
 """Legs of longer profiles that are flown here: others have the like of the rest, which `make long` flies."""
 
-ALIKE = {"approach-closed", "holding-jammed", "mapping", "waypoints-closed"}
+ALIKE = {
+    "approach-closed",
+    "holding-jammed",
+    "inspection",
+    "mapping",
+    "survey-multirotor",
+    "waypoints-closed",
+}
 """Profiles of legs, air and aircraft that others here have, too: `make long` flies them."""
 
 ROUGH = AileronRoll | Approach | Doublet | Flare | LandingRoll | TakeOff | WindUpTurn
