@@ -1,6 +1,6 @@
 """Print who cheats, and what the card says: the table of the guide.
 
-``python -m tests.campaigns.cheat_table`` takes two minutes of CPU: each cheat on the flight of the
+``python -m tests.campaigns.cheat_table`` takes eight minutes of CPU: each cheat on the flight of the
 quick suite that shows it, with the eight runs of the suite, beside `loose-15`.
 """
 
