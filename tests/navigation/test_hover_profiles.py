@@ -54,7 +54,7 @@ WRONG = [
     ({"start.speed_mps": 3.0}, "speed_mps = 3 m/s is not used: the hummingbird is a multirotor"),
     (
         {"guidance": {"navigation": "loose-15"}},
-        "[guidance] is for wings; the hummingbird is flown by its true",
+        "[guidance]: fixed-wing aircraft fly by an estimate or commands",
     ),
 ]
 

@@ -205,7 +205,7 @@ def _make_guidance(
         raise ConfigError(f"{place} is for aircraft of the bench; others have no guidance that it reaches")
     if flight.aircraft.hovers:
         raise ConfigError(
-            f"{place} is for wings; the {flight.aircraft.name} is flown by its true motion alone"
+            f"{place}: fixed-wing aircraft fly by an estimate or commands; {flight.aircraft.name} does not"
         )
     if choice.use == CLIENT:
         return Guidance(choice, own.period_s, own.latency_s, own.error)

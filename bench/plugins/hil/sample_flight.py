@@ -96,7 +96,9 @@ class SampleFlight:
         self._commands, self._rate, self._leg = commands, spec.rate, _Waiting(duration, commands)
         dt = 1.0 / (STEPS * spec.rate)
         spec = replace(spec, legs=(self._leg,), duration=duration)
-        fdm, self._cockpit = prepare(spec, dt)
+        fdm, cockpit = prepare(spec, dt)
+        assert isinstance(cockpit, Cockpit)
+        self._cockpit = cockpit
         self._move = [self._cockpit.switch(f"fcs/{name}-cmd-norm") for name in SURFACES]
         self._run: Callable[[], Any] = through_turbulence(fdm, spec, dt)
         self._log, self._window = _SampleLog(fdm, dt, spec), SampleWindow(STEPS, dt, spec.aircraft.imu_b)
