@@ -130,7 +130,7 @@ def read_log(
     checks = validity.check_recording(
         records.imu, records.fixes, records.instruments, np.asarray(spec.antenna_b)
     )
-    if find_format(spec.imu.format).knows:  # its axes are those of the vehicle, which may fly sideways
+    if spec.sideways or find_format(spec.imu.format).knows:  # else its axes are those of its course
         checks = [check for check in checks if check.name != "forward_yaw_deg"]
     if records.assumed:
         checks.append(Check("gnss_origin", None, records.assumed, False))

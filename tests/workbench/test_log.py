@@ -19,6 +19,7 @@ from pyarrow import parquet
 from scipy.io import savemat
 from scipy.stats import chi2
 
+import bench
 from bench.cli.command_line import main
 from bench.core.mathematics import rotation
 from bench.core.mathematics.earth import difference_n
@@ -171,6 +172,18 @@ def test_mounting_and_misalignment_turn_the_axes_of_the_imu_into_those_of_the_bo
     turned.write_text(text.replace("[imu]", "[imu]\nmisalignment_deg = [0.0, 0.0, 90.0]"))
     found = read_records(load_log(str(turned))).imu  # what pointed forward points right
     assert_allclose(found.dvel_b[:, 1], plain.dvel_b[:, 0], atol=1e-10)
+
+
+@pytest.mark.parametrize(("vehicle", "told"), [("car", True), ("multirotor", False)])
+def test_what_flies_sideways_is_not_told_that_its_forward_axis_is_wrong(folder, tmp_path, vehicle, told):
+    across = rewritten(
+        folder, tmp_path,
+        ("[imu]", "[imu]\nmisalignment_deg = [0.0, 0.0, 15.0]"),
+        ('kind = "course"', 'kind = "hover"'),
+        ('title = "A drive of the tests"', f'title = "Across"\nvehicle = "{vehicle}"'),
+    )  # fmt: skip
+    bad = {check.name for check in bench.read_log(across).checks if not check.good}
+    assert ("forward_yaw_deg" in bad) == told
 
 
 def test_velocities_are_taken_to_the_times_of_their_fixes(tmp_path):

@@ -100,6 +100,7 @@ class LogSpec:
     instruments: Mapping[str, SourceSpec]  # name of an instrument -> where its rows are
     ground_alt: float | None  # ellipsoidal height of the ground below a radar [m]; None: not told
     date: float  # decimal year
+    sideways: bool  # it flies or walks sideways too: its course does not show its forward axis
     vibration: bool  # assume the noise of the record where it is more than that of the datasheet
     mounting: tuple[float, float, float]  # roll, pitch, yaw of the IMU axes in b [rad]
     misalignment: tuple[float, float, float]  # remaining rotation after the mounting, in b [rad]
@@ -263,6 +264,7 @@ def _make_spec(
         instruments={kind: source for kind in INSTRUMENTS if (source := sources[kind]) is not None},
         ground_alt=table.radar.ground_alt_m if table.radar else None,
         date=DEFAULT_DATE if table.date is None else _to_year(table.date),
+        sideways=table.vehicle in SIDEWAYS,
         vibration=table.imu.vibration,
         mounting=_to_radians(table.imu.mounting_deg),
         misalignment=_to_radians(table.imu.misalignment_deg),
