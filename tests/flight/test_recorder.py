@@ -89,6 +89,16 @@ def test_at_100_hz_within_five_and_increments_of_the_wrong_form_do_not_pass(eigh
     assert distance > 50 * MM
 
 
+def test_gusts_come_back_at_the_steps_of_jsbsim_where_two_of_them_are_too_far_apart():
+    """The flight is the same; two samples of two steps each do not show how it moved between."""
+    legs = Straight(20.0), Turn(radians(360.0), radians(30.0))
+    fine, coarse = (fly(plan(*legs, rate=rate, severity=4)) for rate in (400.0, 200.0))
+    assert_array_equal(fine.lla[::2], coarse.lla)
+    distance, _ = two_sample_error(fine)
+    assert distance < 0.1 * MM
+    assert two_sample_error(coarse)[0] > 10 * distance
+
+
 def test_the_path_over_ground_crosses_the_date_line():
     """The distance is that of the same flight elsewhere, not once round the Earth."""
     legs = {"legs": (Straight(20.0),), "rate": 100.0, "duration": 20.0, "heading": radians(90.0)}
