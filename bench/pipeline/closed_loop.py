@@ -258,6 +258,16 @@ def check_legs(profile: Profile) -> None:
         cached_truth(spec, lambda: flight.fly_pieces(spec))
 
 
+def check_rate(profile: Profile) -> None:
+    """Check that the samples of a flight fit the turns of guidance; ConfigError otherwise."""
+    from bench.simulation.flight.guidance.shaping import GUIDANCE_RATE
+
+    rate = profile.flight.rate
+    if rate % GUIDANCE_RATE:
+        what = f"{profile.name}: rate_hz = {rate:g} is for autopilots"
+        raise ConfigError(f"{what}; turns need a multiple of {GUIDANCE_RATE:g}")
+
+
 def find_length(profile: Profile) -> float:
     """Return the duration for which commands fly a profile [s].
 

@@ -22,7 +22,7 @@ from pymavlink.dialects.v20 import common as dialect
 
 from bench.core.records.flight_specs import FlightSpec
 from bench.io.streams.streaming import listen
-from bench.plugins.hil import autopilot_flight
+from bench.pipeline import autopilot_flight
 from bench.plugins.hil.actuator_channels import ARDUPILOT, ActuatorChannels
 from bench.plugins.hil.json_session import JsonSession
 from bench.plugins.hil.mavlink_session import MavlinkSession

@@ -22,8 +22,8 @@ import numpy as np
 from bench.core.mathematics.arrays import FloatArray
 from bench.core.mathematics.earth import difference_kernel
 from bench.core.words.exceptions import EstimatorStoppedError
+from bench.pipeline.autopilot_flight import RestartedError, Sample
 from bench.plugins.hil.actuator_channels import ActuatorChannels
-from bench.plugins.hil.autopilot_flight import RestartedError, Sample
 from bench.plugins.hil.client_session import FlightPace
 from bench.simulation.flight.guidance.steering import Commands, SurfaceCommand
 

@@ -23,8 +23,8 @@ from bench.core.mathematics.arrays import FloatArray
 from bench.core.mathematics.units import SAME_INSTANT, STANDARD_GRAVITY
 from bench.core.records.data import GnssFixes
 from bench.core.words.exceptions import ConfigError, EstimatorStoppedError
+from bench.pipeline.autopilot_flight import Sample
 from bench.plugins.hil.actuator_channels import ActuatorChannels
-from bench.plugins.hil.autopilot_flight import Sample
 from bench.plugins.hil.client_session import ClientSession
 from bench.simulation.flight.guidance.steering import Commands
 from bench.simulation.signals.air import impact_pressure, standard_atmosphere

@@ -17,16 +17,14 @@ from bench.core.records.specs import CLIENT, Profile
 from bench.core.words.exceptions import ConfigError, EstimatorStoppedError
 from bench.core.words.stages import Progress, Stage, ignore
 from bench.io.streams.streaming import listen, parse_address
-from bench.pipeline import closed_loop
-from bench.plugins.hil import autopilot_flight
+from bench.pipeline import autopilot_flight, closed_loop
+from bench.pipeline.autopilot_flight import check_flight
 from bench.plugins.hil.actuator_channels import ActuatorChannels
-from bench.plugins.hil.autopilot_flight import check_flight
 from bench.plugins.hil.flight_messages import VERSION
 from bench.plugins.hil.flight_session import FlightFacts, FlightSession
 from bench.plugins.hil.json_session import JsonSession
 from bench.plugins.hil.mavlink_session import MavlinkSession
 from bench.plugins.hil.served import load_served
-from bench.simulation.flight.guidance.shaping import GUIDANCE_RATE
 from bench.simulation.flight.guidance.steering import Commands
 
 Gives = Literal["estimate", "commands"]
@@ -211,11 +209,7 @@ def _check(profile: Profile, rate: float, patience: float, undulation: float) ->
 
 def _check_legs(profile: Profile, *, steers: bool) -> None:
     """Check that a client can fly a profile in turns, by commands or by estimates."""
-    if profile.flight.rate % GUIDANCE_RATE:
-        raise ConfigError(
-            f"{profile.name}: rate_hz = {profile.flight.rate:g} is for autopilots; turns need a multiple of "
-            f"{GUIDANCE_RATE:g}"
-        )
+    closed_loop.check_rate(profile)
     if steers:
         closed_loop.find_length(profile)
     else:

@@ -17,12 +17,12 @@ from pymavlink.dialects.v20 import common as dialect
 from bench.core.mathematics import rotation
 from bench.core.words.exceptions import ConfigError
 from bench.navigation.engine.kept_rows import take_rows
+from bench.pipeline.autopilot_flight import Sample
 from bench.plugins.hil import serving
 from bench.plugins.hil.actuator_channels import ActuatorChannels
-from bench.plugins.hil.autopilot_flight import Sample
 from bench.plugins.hil.mavlink_session import MavlinkSession
-from bench.plugins.hil.sample_motion import SampleMotion
 from bench.simulation.flight.guidance.steering import Commands
+from bench.simulation.sampled.sample_motion import SampleMotion
 from tests.plugins.hil.test_serve import Server, write_straight
 
 BANK = 0.2  # what it flies [rad]

@@ -12,11 +12,12 @@ from bench import pipeline
 from bench.core.words.exceptions import ConfigError
 from bench.evaluation.errors.replay import Replay
 from bench.io import config
+from bench.io.results import join_pieces
 from bench.plugins.hil import serving
 from bench.plugins.hil.actuator_channels import ActuatorChannels
-from bench.plugins.hil.imu_samples import SampledImu
-from bench.plugins.hil.sample_flight import SampleFlight
 from bench.simulation.flight.guidance.steering import Commands, SurfaceCommand
+from bench.simulation.sampled.imu_samples import SampledImu
+from bench.simulation.sampled.sample_flight import SampleFlight
 from bench.simulation.sensors.draws import SensorDraws
 from tests.plugins.hil.test_serve import write_straight
 
@@ -38,7 +39,7 @@ def fly(profile, duration, give, rate=400.0, every=0):
         commands.wanted = give(k)
         if every and k % every == 0:
             flight.cut()
-    return motions, measured, flight.finish("")
+    return motions, measured, join_pieces(flight.finish(""))
 
 
 def stack(rows, name):

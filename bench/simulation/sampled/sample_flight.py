@@ -16,8 +16,6 @@ from bench.core.mathematics.arrays import FloatArray
 from bench.core.records.data import Events, Trajectory
 from bench.core.records.flight_specs import FlightSpec
 from bench.core.words.exceptions import FlightError
-from bench.io.results import join_pieces
-from bench.plugins.hil.sample_motion import SampleMotion, SampleWindow
 from bench.simulation.flight.cockpit import SURFACES, Cockpit
 from bench.simulation.flight.guidance.sequencer import FlownLeg, describe, fly_legs
 from bench.simulation.flight.guidance.shaping import GUIDANCE_RATE, Steps, wait
@@ -27,6 +25,7 @@ from bench.simulation.flight.state_log import NEIGHBORS, StateLog
 from bench.simulation.flight.truth import Stretch, make_truth
 from bench.simulation.flight.turbulence.dryden import through_turbulence
 from bench.simulation.flight.turbulence.wind import Weather
+from bench.simulation.sampled.sample_motion import SampleMotion, SampleWindow
 
 STEPS = NEIGHBORS + 1
 """Of JSBSim in a sample."""
@@ -150,8 +149,8 @@ class SampleFlight:
         self._pieces.append(next(self._truth))
         return self._pieces[-1]
 
-    def finish(self, ended: str) -> Trajectory:
-        """Return the whole truth; ``ended`` says why it is not flown to the end, or is empty.
+    def finish(self, ended: str) -> list[Trajectory]:
+        """Return the truth in pieces; ``ended`` says why it is not flown to the end, or is empty.
 
         Raises
         ------
@@ -164,7 +163,8 @@ class SampleFlight:
             raise FlightError(ended or "nothing has been flown")
         t = self._row / self._rate
         rows = [(0.0, t, "leg", describe(1, self._leg)), *([(t, t, "crash", ended)] if ended else [])]
-        return replace(join_pieces(self._pieces), events=Events.from_rows(rows))
+        *pieces, last = self._pieces
+        return [*pieces, replace(last, events=Events.from_rows(rows))]
 
     def _steer(self) -> None:
         """Let the present command act, without the lags that guidance has for commands at 20 Hz."""

@@ -13,7 +13,7 @@ import numpy as np
 from bench.core.mathematics.arrays import BoolArray, FloatArray, IntArray
 from bench.core.records.data import AirData, ImuData, Trajectory, no_controls, no_events
 from bench.core.records.sensor_specs import Fault, ImuSpec, TriadSpec
-from bench.plugins.hil.sample_motion import SampleMotion
+from bench.simulation.sampled.sample_motion import SampleMotion
 from bench.simulation.sensors import faults, imu, imu_terms, vibration
 from bench.simulation.sensors.draws import SensorDraws
 from bench.simulation.sensors.processes import apply_lag

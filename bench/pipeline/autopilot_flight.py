@@ -16,13 +16,14 @@ from bench.core.records.instruments import INSTRUMENTS
 from bench.core.records.sensor_specs import ImuSpec, SensorsSpec, TriadSpec
 from bench.core.records.specs import Profile
 from bench.core.words.exceptions import ConfigError, EstimatorStoppedError
+from bench.io.results import join_pieces
 from bench.navigation.engine.kept_rows import join_rows, take_rows
 from bench.navigation.engine.record_cuts import aiding_records, arrivals
 from bench.pipeline import closed_loop
-from bench.plugins.hil.imu_samples import ImuSample, SampledImu
-from bench.plugins.hil.sample_flight import SampleFlight
-from bench.plugins.hil.sample_motion import SampleMotion
 from bench.simulation.flight.guidance.steering import Commands
+from bench.simulation.sampled.imu_samples import ImuSample, SampledImu
+from bench.simulation.sampled.sample_flight import SampleFlight
+from bench.simulation.sampled.sample_motion import SampleMotion
 from bench.simulation.sensors import sense_piece
 from bench.simulation.sensors.draws import SensorDraws
 
@@ -154,4 +155,4 @@ def _fly_once(profile: Profile, run: int, autopilot: Autopilot) -> closed_loop.S
         except EstimatorStoppedError:
             break
     ended = autopilot.ended or flight.ended
-    return closed_loop.ServedFlight(flight.finish(ended), None, ended)
+    return closed_loop.ServedFlight(join_pieces(flight.finish(ended)), None, ended)
