@@ -8,6 +8,7 @@ from math import inf, pi, radians
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from bench.core.mathematics.arrays import FloatArray
 from bench.core.mathematics.earth import matrix_en, to_ecef
@@ -23,6 +24,7 @@ from bench.simulation.flight.legs.level import Straight
 from bench.simulation.flight.legs.rotors import Goto, Hover, Land, Orbit, Sprint, Yaw
 from bench.simulation.flight.legs.runway import Static, TakeOff
 from bench.simulation.flight.recorder import fly_pieces, prepare
+from bench.simulation.flight.rotor_cockpit import RotorCockpit
 from tests.flight.inertial import replay
 from tests.flight.plans import AEROSONDE, fly_here
 from tests.flight.test_aircraft_files import AIRCRAFT
@@ -365,3 +367,21 @@ def test_a_ride_is_smooth_up_to_its_jerk_and_keeps_its_limits(length):
         assert rows[:, 1].max() == pytest.approx(6.0)
         assert np.abs(rows[:, 2]).max() == pytest.approx(3.0, rel=1e-3)
     assert inf > ride.duration > 0.0
+
+
+@pytest.mark.parametrize(("side", "sign"), [("left", -1.0), ("right", 1.0)])
+def test_an_orbit_sets_off_to_its_side_and_its_path_has_its_own_derivatives(side, sign, monkeypatch):
+    monkeypatch.setattr(RotorCockpit, "follow", lambda _, path, duration: (path, duration))
+    cockpit = object.__new__(RotorCockpit)
+    cockpit.course, cockpit.place = 0.3, np.array([5.0, -2.0, -10.0])
+    leg = Orbit(radius=15.0, speed=6.0, laps=2.0, side=side)
+    path, duration = leg.fly(cockpit)
+    ahead, right = np.array([np.cos(0.3), np.sin(0.3), 0.0]), np.array([-np.sin(0.3), np.cos(0.3), 0.0])
+    center, h = cockpit.place + 15.0 * ahead, 1e-4
+    assert path(1.0)[0][1] @ right * sign > 0.1
+    for t in np.linspace(0.1, 0.9, 9) * duration:
+        before, (rows, heading, rate), after = path(t - h), path(t), path(t + h)
+        assert_allclose((after[0][:3] - before[0][:3]) / (2.0 * h), rows[1:], atol=1e-5)
+        assert (after[1] - before[1]) / (2.0 * h) == pytest.approx(rate, abs=1e-6)
+        nose = np.array([np.cos(heading), np.sin(heading), 0.0])
+        assert_allclose(rows[0] + 15.0 * nose, center, atol=1e-9)

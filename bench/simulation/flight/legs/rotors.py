@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Annotated, Literal
 
 from bench.core.records.flight_specs import ALTITUDES, MULTIROTOR, Leg, LegStart
-from bench.simulation.flight.guidance.shaping import Steps, wait
+from bench.simulation.flight.guidance.shaping import G, Steps, wait
 from bench.simulation.flight.legs.keys import Key, Seconds, format_deg, side_of, write_key
 from bench.simulation.flight.rotor_cockpit import RotorCockpit
 
@@ -102,9 +102,9 @@ class Orbit(Leg):
     radius: Annotated[float, Key("radius_m", "distance of the center, ahead", 1, 1000)]
     speed: GroundSpeed
     laps: Annotated[float, Key("laps", "number of laps", 0.05, 1000)] = 1.0
-    side: Annotated[
-        Literal["left", "right"], Key("side", "on which the way goes, seen from the center's side")
-    ] = "left"
+    side: Annotated[Literal["left", "right"], Key("side", "to which it sets off, with the center ahead")] = (
+        "left"
+    )
     nose: Annotated[
         Literal["center", "keep"], Key("nose", "to the center all along, or keep the heading")
     ] = "center"
@@ -115,7 +115,7 @@ class Orbit(Leg):
         return f"{self.laps:g} laps of {where} at {self.speed:g} m/s, nose: {self.nose}"
 
     def check(self, start: LegStart) -> list[str]:
-        tilt = math.atan(self.speed**2 / self.radius / 9.81)
+        tilt = math.atan(self.speed**2 / self.radius / G)
         if tilt <= start.aircraft.max_bank:
             return []
         return [
