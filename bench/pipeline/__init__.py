@@ -183,7 +183,7 @@ def _hold(
 def _describe_scene(profile: Profile) -> dict[str, Any]:
     """Return the data of figures besides the records: aircraft, view of the antenna, runway."""
     gnss, flight = profile.sensors.gnss, profile.flight
-    runway = flight.runway if isinstance(flight, FlightSpec) else None
+    runway = flight.runway if isinstance(flight, FlightSpec) and not flight.aircraft.hovers else None
     mask = None if gnss is None or gnss.sky is None else degrees(gnss.sky.antenna_mask)
     place = runway and {
         "lat_deg": degrees(runway.lat),

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import bench
+from bench import pipeline
 from bench.core.words.exceptions import ConfigError
 from bench.io.config import read_profile
 from bench.navigation.error_state_filter.rough_heading import UNKNOWN_HEADING_SD
@@ -64,3 +65,9 @@ def test_what_a_hover_cannot_have_is_said_in_one_line(change, message):
     with pytest.raises(ConfigError) as caught:
         read_profile("inspection", {**SHORT, **change})
     assert [line for line in caught.value.messages if message in line], caught.value.messages
+
+
+def test_a_runway_is_shown_to_wings_only():
+    shown = {name: pipeline._describe_scene(read_profile(name))["runway"] for name in ("delivery", "circuit")}
+    assert shown["delivery"] is None
+    assert shown["circuit"] is not None
