@@ -16,8 +16,10 @@ SPEEDS = (1, 400)  # lowest and highest true airspeed [m/s]
 HEIGHTS = (0.01, 20)  # of a center of gravity above the ground at rest [m]
 BANKS = (1, 80)  # smallest and largest bank of a turn [deg]
 CLIMBS = (0.1, 100)  # smallest and largest vertical speed, up or down [m/s]
-FIXED_WING, MULTIROTOR = "fixed-wing", "multirotor"
+FIXED_WING, MULTIROTOR, GLIDER = "fixed-wing", "multirotor", "glider"
 """Kinds of aircraft of the bench."""
+WINGS = (FIXED_WING, GLIDER)
+"""Kinds that fly by airspeed."""
 MESH_OF_CLASS = {"uav": "uav", "light": "light-single", "transport": "jet", "fighter": "jet"}
 """Class of aircraft -> simple shape in the recording."""
 
@@ -83,13 +85,18 @@ class AircraftSpec:
     trims: tuple[tuple[float, float], ...] = ()  # altitudes [m] and true airspeeds [m/s] to trim it at
     runway: RunwaySpec | None = None  # None: it starts and ends in the air
     configuration: tuple[str, ...] = ()  # parts that a leg may set: "flaps", "gear"
-    kind: str = FIXED_WING  # or MULTIROTOR: its guidance system, trim and legs
+    kind: str = FIXED_WING  # MULTIROTOR or GLIDER: its guidance system, trim and legs
     stand_height: float | None = None  # of a multirotor on its legs [m]
 
     @property
     def hovers(self) -> bool:
         """Return whether it flies without airspeed."""
         return self.kind == MULTIROTOR
+
+    @property
+    def glides(self) -> bool:
+        """Return whether it has no engine: it holds its airspeed by pitch and sinks."""
+        return self.kind == GLIDER
 
     @property
     def rest_height(self) -> float | None:

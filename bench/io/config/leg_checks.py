@@ -113,6 +113,10 @@ def _check_start(table: ProfileTable, aircraft: AircraftSpec) -> list[str]:
     start = table.start
     if aircraft.hovers and table.alignment.kind == "course":
         return ["[alignment] kind = 'course': the course of a multirotor gives no heading; use 'hover'"]
+    if start.on_ground and aircraft.glides:
+        return [
+            f"[start] on_ground = true: the {aircraft.name} is a glider; start it in the air, as a tow ends"
+        ]
     if start.on_ground:
         wrong = []
         if start.speed_mps is not None:

@@ -10,10 +10,11 @@ from pydantic import Field
 
 from bench.core.files.installed import find_folders
 from bench.core.records.flight_specs import (
-    FIXED_WING,
+    GLIDER,
     HEIGHTS,
     MULTIROTOR,
     SPEEDS,
+    WINGS,
     AircraftSpec,
     ForeignSpec,
     RunwaySpec,
@@ -75,7 +76,7 @@ class AircraftTable(Table):
     """Title."""
     category: Category = Field(alias="class")
     """Class: shape in the recording, limits of the sanity report."""
-    kind: Literal["fixed-wing", "multirotor"] = "fixed-wing"
+    kind: Literal["fixed-wing", "multirotor", "glider"] = "fixed-wing"
     """Its guidance system (guidance.xml or multirotor.xml), trim and legs."""
     source: str = ""
     """Source of the values."""
@@ -234,11 +235,15 @@ def _make_aircraft(
     limits, imu = table.limits, table.imu
     if limits.min_speed_mps >= limits.max_speed_mps:
         raise ConfigError(f"{shown}: [limits] min_speed_mps must be below max_speed_mps")
-    wings = table.kind == FIXED_WING
+    wings = table.kind in WINGS
     if wings and limits.min_speed_mps < SPEEDS[0]:
         what = quantity("min_speed_mps", limits.min_speed_mps)
         raise ConfigError(f"{shown}: [limits] {what} is below {SPEEDS[0]} m/s; 0 is for kind = 'multirotor'")
-    not_used = () if wings else ("trim", "runway", "configuration", "rough_air", "rough_flare", "approach")
+    not_used: tuple[str, ...] = (
+        () if wings else ("trim", "runway", "configuration", "rough_air", "rough_flare", "approach")
+    )
+    if table.kind == GLIDER:
+        not_used = ("runway", "configuration", "rough_flare", "approach")
     for name in (*not_used, *(["stand"] if wings else [])):
         if name in table.model_fields_set:
             raise ConfigError(f"{shown}: [{name}] is not used with kind = {table.kind!r}")

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from bench.core.records.flight_specs import (
+    FIXED_WING,
     AircraftSpec,
     Flight,
     FlightSpec,
@@ -203,7 +204,7 @@ def _make_guidance(
         or flight.aircraft.foreign is not None
     ):
         raise ConfigError(f"{place} is for aircraft of the bench; others have no guidance that it reaches")
-    if flight.aircraft.hovers:
+    if flight.aircraft.kind != FIXED_WING:
         raise ConfigError(
             f"{place}: fixed-wing aircraft fly by an estimate or commands; {flight.aircraft.name} does not"
         )

@@ -70,16 +70,17 @@ class Cockpit(Panel):
         self.lat_mode(2)
 
     def hold_alt(self, alt: float) -> None:
-        """Hold an ellipsoidal height [m]."""
+        """Hold an ellipsoidal height [m]; a glider holds its airspeed by pitch and sinks."""
         self.alt_wanted = alt
         self.set_alt(alt)
-        self.lon_mode(3)
+        self.lon_mode(4 if self.aircraft.glides else 3)
 
     def _read_lags(self) -> None:
         """Measure the lag of the control loops behind a moving set-point [s]."""
         self.bank_lag = 2 / self.gain("bank-lag-rad_sec")
         self.pitch_lag = 1 / self.gain("pitch-lag-rad_sec")
-        self.climb_lag = self.pitch_lag + 1 / self.gain("climb-gain")
+        if not self.aircraft.glides:
+            self.climb_lag = self.pitch_lag + 1 / self.gain("climb-gain")
 
     def hold_approach(self, share: float) -> None:
         """Interpolate the gains from the gains of flight, 0, to the gains of an approach, 1."""

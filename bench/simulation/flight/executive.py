@@ -16,7 +16,7 @@ from xml.etree import ElementTree
 
 from bench.core.files.scratch import PREFIX, make_scratch
 from bench.core.mathematics.random_streams import stream
-from bench.core.records.flight_specs import AircraftSpec, ScriptSpec
+from bench.core.records.flight_specs import GLIDER, AircraftSpec, ScriptSpec
 from bench.core.words.exceptions import FlightError
 from bench.simulation.flight.model_files import (
     LONGEST_SCRIPT,
@@ -137,8 +137,10 @@ def _add_guidance(aircraft: AircraftSpec, model: ElementTree.Element) -> Element
     It has an output to the throttle of every engine.
     """
     engines = sum(len(propulsion.findall("engine")) for propulsion in model.findall("propulsion"))
-    if not engines:
-        raise FlightError(f"aircraft {aircraft.name}: it has no engine to hold a speed with")
+    if not engines and not aircraft.glides:
+        raise FlightError(
+            f"aircraft {aircraft.name}: it has no engine to hold a speed with; is it of kind = {GLIDER!r}?"
+        )
     if not any(system.get("file") == "guidance" for system in model.findall("system")):
         first = next((k for k, child in enumerate(model) if child.tag in _CONTROLS), None)
         if first is None:

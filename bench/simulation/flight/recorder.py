@@ -102,7 +102,8 @@ def record_plan(
     _, dt = simulation_step(spec.rate)
     fdm, cockpit = prepare(spec, dt, say, belief)
     craft = spec.aircraft
-    log = StateLog(fdm, dt, f"aircraft {craft.name}", craft.imu_b, guided=craft.guided, hovers=craft.hovers)
+    kind = {"guided": craft.guided, "hovers": craft.hovers, "glides": craft.glides}
+    log = StateLog(fdm, dt, f"aircraft {craft.name}", craft.imu_b, **kind)
     run, keep_state = through_turbulence(fdm, spec, dt), log.keep_state
     shares = [k / log.per_tick for k in range(1, log.per_tick + 1)]
     flown: list[FlownLeg] = []
@@ -228,7 +229,8 @@ def prepare(
         trimmed = trim_aircraft(fdm, replace(condition, alt=spec.alt + _CLEAR), guided=guided, say=say)
         stand(fdm, condition, guided=guided, say=say)
     else:
-        trimmed = trim_aircraft(fdm, condition, guided=guided, say=say)
+        glides = spec.aircraft.glides
+        trimmed = trim_aircraft(fdm, condition, guided=guided, glides=glides, say=say)
         say("settling")
         settle(fdm)
     cockpit = engage(fdm, spec, trimmed, belief)

@@ -58,6 +58,7 @@ _TRUE_SPEED, _ANGLES = 2, slice(4, 6)  # in the rows of _AIR
 _FLOWS = 3.0  # airspeed below which the flow round what hovers has no direction to speak of [m/s]
 _SURFACES = tuple((f"fcs/{name}-cmd-norm", 1.0) for name in ("aileron", "elevator", "rudder"))
 _OWN = (*_AIR, ("motor/speed-rad_sec", 1.0), *_SURFACES, ("guidance/throttle-cmd-norm", 1.0))
+_UNPOWERED = (*_AIR, ("guidance/thr-mode", 0.0), *_SURFACES, ("guidance/throttle-cmd-norm", 1.0))
 _ENGINES = ("propulsion/engine/propeller-rpm", "propulsion/engine/engine-rpm")
 _GROUND = (("position/h-agl-ft", FT), ("velocities/v-down-fps", FT))
 _CONTACTS = 40  # gear legs and other contact points looked at
@@ -82,6 +83,8 @@ class StateLog:
         Whether the model was made for the bench. Of others what they do not have is 0.
     hovers : bool
         Whether it flies without airspeed: angle of attack and sideslip of an airspeed below 3 m/s are then 0.
+    glides : bool
+        Whether it has no engine: the speed of one is then 0.
 
     Raises
     ------
@@ -98,6 +101,7 @@ class StateLog:
         *,
         guided: bool = False,
         hovers: bool = False,
+        glides: bool = False,
     ) -> None:
         manager = fdm.get_property_manager()
 
@@ -112,7 +116,7 @@ class StateLog:
 
         engine = next((name for name in _ENGINES if manager.get_node(name)), "none")
         foreign = (*_AIR, (engine, RPM), *_SURFACES, ("fcs/throttle-cmd-norm", 1.0))
-        slow = _OWN if guided else (*foreign, *_GROUND)
+        slow = (_UNPOWERED if glides else _OWN) if guided else (*foreign, *_GROUND)
         names = _MOTION if guided else (*_MOTION, *_CENTER)
         self.dt, self.per_tick = dt, round(1.0 / (GUIDANCE_RATE * dt))
         self._what, self._imu_b, self._guided, self._hovers = what, imu_b, guided, hovers

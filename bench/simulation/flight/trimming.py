@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -23,6 +23,8 @@ _SCALE = np.array([0.1, 0.1, 0.1, 0.1, 0.1, 1.0])
 _LOW, _HIGH = np.array([-0.3, -0.3, -0.5, -1.0, -1.0, 0.0]), np.array([0.4, 0.3, 0.5, 1.0, 1.0, 1.0])
 # alpha [rad], elevator, throttle; a search that leaves the travel of a control gets lost: begin elsewhere
 _OWN_STARTS = ((0.05, 0.0, 0.6), (0.0, 0.0, 0.9), (0.0, 0.0, 0.6), (0.1, 0.0, 0.4), (0.1, 0.0, 0.9))
+_GLIDER_STARTS = ((0.05, 0.0, 1.0), (0.13, -0.15, 1.0), (-0.03, 0.0, 1.0))
+_GLIDE = -0.05  # angle of a glide, in place of the throttle: what 1 stands for in a search [rad]
 _FOREIGN_STARTS = ((0.05, 0.0, 0.6), (0.1, -0.1, 0.8), (0.02, 0.1, 0.4))
 _ACTUATORS = 200  # steps for actuators to arrive: 0.5 s at 400 Hz
 _PARTS = 30.0  # until gear and flaps have moved [s]
@@ -73,15 +75,24 @@ class Trim:
     elevator: float  # command, -1 to 1
     throttle: float  # 0 to 1
     residual: float  # largest acceleration left [m/s^2, rad/s^2]
+    climb_angle: float = 0.0  # of the path through the air [rad]
 
 
-def trim_aircraft(fdm: Any, condition: TrimCondition, *, guided: bool = True, say: Say = keep_quiet) -> Trim:
+def trim_aircraft(
+    fdm: Any,
+    condition: TrimCondition,
+    *,
+    guided: bool = True,
+    glides: bool = False,
+    say: Say = keep_quiet,
+) -> Trim:
     """Solve for the steady flight of a condition, and leave the model there.
 
     Six accelerations are brought to zero by angle of attack, sideslip, roll, aileron, elevator and throttle;
     the rudder stays centered. Models of the bench answer smoothly and at once: a root is found. Those of
     others have actuators with play, and engines that come to a steady state by iteration and are no smooth
-    function of the throttle: least squares within the travel of the controls.
+    function of the throttle: least squares within the travel of the controls. A glider has no throttle: the
+    angle of its path takes its place, and the condition gives none.
 
     Parameters
     ----------
@@ -91,6 +102,8 @@ def trim_aircraft(fdm: Any, condition: TrimCondition, *, guided: bool = True, sa
         The flight.
     guided : bool
         Whether the model was made for the bench.
+    glides : bool
+        Whether it has no engine.
     say : callable
         Called with "trimming" at each state that is tried.
 
@@ -102,15 +115,19 @@ def trim_aircraft(fdm: Any, condition: TrimCondition, *, guided: bool = True, sa
 
     def accelerations(x: FloatArray) -> FloatArray:
         say("trimming")
-        alpha, beta, roll, aileron, elevator, throttle = (float(v) for v in x * _SCALE)
-        place(fdm, condition, alpha, beta, roll, aileron, elevator, throttle)
+        alpha, beta, roll, aileron, elevator, last = (float(v) for v in x * _SCALE)
+        where = replace(condition, climb_angle=_GLIDE * last) if glides else condition
+        place(fdm, where, alpha, beta, roll, aileron, elevator, 0.0 if glides else last)
         if not guided:
             move_surfaces(fdm, aileron, elevator)
-            run_engines(fdm)
+            if not glides:
+                run_engines(fdm)
         found = present_accelerations(fdm)
         return found if np.isfinite(found).all() else np.full(6, 1e3)
 
     starts, settled, solve = _OWN if guided else FOREIGN
+    if glides:
+        starts = _GLIDER_STARTS
     if not guided:  # gear and flaps come to where they are asked to be
         place(fdm, condition, 0.0, 0.0, 0.0, 0.0, 0.0, 0.5)
         wait(fdm, round(_PARTS / fdm.get_delta_t()))
@@ -123,6 +140,7 @@ def trim_aircraft(fdm: Any, condition: TrimCondition, *, guided: bool = True, sa
         if residual < settled:
             break
     alpha, beta, roll, aileron, elevator, throttle = (float(v) for v in best * _SCALE)
+    angle, throttle = (_GLIDE * throttle, 0.0) if glides else (condition.climb_angle, throttle)
     if not (residual < settled and 0 <= throttle <= 1 and abs(aileron) <= 1 and abs(elevator) <= 1):
         raise FlightError(
             f"no steady flight found for {fdm.get_model_name()} at {condition.speed:g} m/s, "
@@ -130,7 +148,7 @@ def trim_aircraft(fdm: Any, condition: TrimCondition, *, guided: bool = True, sa
             f"{throttle:.2f} (0 to 1), elevator {elevator:.2f}, aileron {aileron:.2f} (-1 to 1)"
         )
     pitch = float(fdm["attitude/theta-rad"])
-    return Trim(alpha, beta, roll, pitch, aileron, elevator, throttle, residual)
+    return Trim(alpha, beta, roll, pitch, aileron, elevator, throttle, residual, angle)
 
 
 def find_root(f: Callable[[FloatArray], FloatArray], start: FloatArray) -> FloatArray:

@@ -59,7 +59,7 @@ def engage(fdm: Any, spec: FlightSpec, trimmed: Trim, belief: Belief | None = No
         return cockpit
     cockpit.set_speed(spec.speed)
     cockpit.speed_wanted = spec.speed
-    cockpit.thr_mode(1)
+    cockpit.thr_mode(0 if spec.aircraft.glides else 1)
     cockpit.set_heading(cockpit.course)
     cockpit.lat_mode(2)
     cockpit.hold_alt(spec.alt)

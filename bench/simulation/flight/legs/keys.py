@@ -18,6 +18,8 @@ from bench.core.mathematics.units import from_si, unit_of
 from bench.core.records.flight_specs import (
     BANKS,
     CLIMBS,
+    FIXED_WING,
+    GLIDER,
     MULTIROTOR,
     SECONDS,
     SPEEDS,
@@ -88,10 +90,10 @@ def keys_of(made: type[Any]) -> tuple[KeyedField, ...]:
     return _KNOWN[made]
 
 
-def write_key(leg: Leg, name: str) -> str:
-    """Return a field as written in the file: ``bank_deg = 30 deg``."""
-    key = next(entry.key for entry in keys_of(type(leg)) if entry.field == name)
-    return quantity(key.name, key.from_si(getattr(leg, name)))
+def write_key(made: Any, name: str) -> str:
+    """Return a field of a leg, or of a row in a leg, as written in the file: ``bank_deg = 30 deg``."""
+    key = next(entry.key for entry in keys_of(type(made)) if entry.field == name)
+    return quantity(key.name, key.from_si(getattr(made, name)))
 
 
 def require_one(values: Mapping[str, Any]) -> None:
@@ -115,7 +117,11 @@ def check_leg(leg: Leg, start: LegStart) -> list[str]:
     """Return the conflicts of a leg with the aircraft or the legs before it, one line each."""
     craft = start.aircraft
     if craft.kind not in leg.flown_by:
-        own = "a multirotor" if leg.flown_by == (MULTIROTOR,) else "an aircraft with wings"
+        if craft.glides and FIXED_WING in leg.flown_by:
+            glider = f"the {craft.name} is a glider and sinks; it flies straight, turn, waypoints or thermal"
+            return [f"needs an engine, and {glider}"]
+        one = leg.flown_by[0] if len(leg.flown_by) == 1 else FIXED_WING
+        own = {MULTIROTOR: "a multirotor", GLIDER: "a glider"}.get(one, "an aircraft with wings")
         instead = "hover, goto, sprint or orbit" if craft.hovers else "straight, turn, waypoints or holding"
         return [f"is flown by {own}, and the {craft.name} is none; it flies {instead}"]
     if craft.hovers and isinstance(leg, AtSpeed) and leg.speed is not None:

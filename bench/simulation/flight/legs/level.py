@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
-from bench.core.records.flight_specs import SECONDS, Leg, LegStart
+from bench.core.records.flight_specs import SECONDS, WINGS, Leg, LegStart
 from bench.core.words.exceptions import FlightError
 from bench.simulation.flight.cockpit import Cockpit
 from bench.simulation.flight.guidance.shaping import GUIDANCE_RATE, Steps, smooth, wait
@@ -20,6 +20,7 @@ class Straight(AtSpeed):
     """Hold heading, altitude and airspeed."""
 
     kind = "straight"
+    flown_by = WINGS
     duration: Seconds
 
     def describe(self) -> str:
@@ -34,6 +35,7 @@ class Cruise(AtSpeed):
     """Hold heading, altitude and airspeed over a distance on the ground."""
 
     kind = "cruise"
+    flown_by = WINGS
     distance: Annotated[float, Key("distance_m", "over ground", 10, 1e7)]
 
     def describe(self) -> str:
@@ -54,6 +56,7 @@ class SpeedChange(Leg):
     """Change the airspeed, wait for it, and hold it."""
 
     kind = "speed"
+    flown_by = WINGS
     speed: Speed
 
     def describe(self) -> str:

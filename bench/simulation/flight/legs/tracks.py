@@ -11,7 +11,7 @@ import numpy as np
 
 from bench.core.mathematics.arrays import FloatArray
 from bench.core.mathematics.earth import matrix_en, to_ecef, to_geodetic
-from bench.core.records.flight_specs import ALTITUDES, SECONDS, LegStart
+from bench.core.records.flight_specs import ALTITUDES, SECONDS, WINGS, LegStart
 from bench.core.words.exceptions import FlightError
 from bench.core.words.wording import format_count
 from bench.simulation.flight.cockpit import Cockpit
@@ -24,7 +24,7 @@ from bench.simulation.flight.guidance.paths import (
     turn_radius,
 )
 from bench.simulation.flight.guidance.shaping import Steps
-from bench.simulation.flight.legs.keys import SIDES, AtSpeed, Bank, Key, format_deg
+from bench.simulation.flight.legs.keys import SIDES, AtSpeed, Bank, Key, format_deg, write_key
 from bench.simulation.flight.panel import Plane
 
 _GROUND_STEP = 20.0  # at which the ground below a way is looked at [m]
@@ -125,7 +125,13 @@ class Waypoints(PointToPoint):
     """Follow the tracks from point to point; turns begin early enough to meet the next track."""
 
     kind = "waypoints"
+    flown_by = WINGS
     points: Annotated[tuple[Waypoint, ...], Key("points", "flown by, but for the last")]
+
+    def check(self, start: LegStart) -> list[str]:
+        rows = enumerate(self.points if start.aircraft.glides else ())
+        given = [f"points[{k}] {write_key(row, 'alt')}" for k, row in rows if row.alt is not None]
+        return [f"{what}: a glider holds no altitude; leave it out" for what in given]
 
     def alt_after(self, start: LegStart) -> float:
         return self._list_alts(start.alt)[-1]
@@ -206,6 +212,7 @@ class Survey(AtSpeed):
     """Parallel strips from the present position, flown to and fro."""
 
     kind = "survey"
+    flown_by = WINGS
     length: Annotated[float, Key("length_m", "length of a strip", 10, 1e6)]
     spacing: Annotated[float, Key("spacing_m", "spacing of the strips", 1, 1e5)]
     strips: Annotated[int, Key("strips", "number of strips", 1, 1000)]
@@ -255,6 +262,7 @@ class Holding(AtSpeed):
     """Racetracks over ground, whatever the wind, from a fix at the present position."""
 
     kind = "holding"
+    flown_by = WINGS
     laps: Annotated[int, Key("laps", "number of laps", 1, 1000)]
     bank: Bank
     course: _Course | None = None

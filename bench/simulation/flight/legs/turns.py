@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
-from bench.core.records.flight_specs import LegStart
+from bench.core.records.flight_specs import WINGS, LegStart
 from bench.core.words.exceptions import FlightError
 from bench.core.words.wording import format_count
 from bench.simulation.flight.cockpit import Cockpit
@@ -31,6 +31,7 @@ class Turn(AtSpeed):
     """Turn by an angle or to a heading, at a bank or at a rate, altitude held."""
 
     kind = "turn"
+    flown_by = WINGS
     by: Annotated[float, Key("by_deg", "change of heading, positive to the right", -3600, 3600)] | None = None
     bank: Bank | None = None
     heading: Annotated[float, Key("to_heading_deg", "heading to turn to", 0, 360)] | None = None
@@ -84,6 +85,7 @@ class FigureEight(AtSpeed):
     """Full circles, right then left, again and again."""
 
     kind = "figure-eight"
+    flown_by = WINGS
     bank: Bank
     laps: Annotated[int, Key("laps", "eights; one is a full right and a full left circle", 1, 1000)]
 
@@ -101,6 +103,7 @@ class STurns(AtSpeed):
     """Turn to both sides of the course, right first, and end on the course."""
 
     kind = "s-turns"
+    flown_by = WINGS
     by: Annotated[float, Key("by_deg", "largest angle off the course", 1, 180)]
     bank: Bank
     count: Annotated[int, Key("count", "number of pairs, right and left", 1, 1000)]
