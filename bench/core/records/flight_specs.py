@@ -191,6 +191,16 @@ class WindLayer:
 
 
 @declared
+class ThermalsSpec:
+    """Convective layer over flat ground, for the thermals in it."""
+
+    w_star: float = figure("mps", 0.1, 10)
+    """Its velocity scale w* [m/s]; 2.56 on an average day in the desert of Nevada."""
+    depth: float = figure("m", 100, 5000)
+    """Its depth above the ground [m]; 1401 there."""
+
+
+@declared
 class Gust:
     """A discrete gust with a 1 - cosine rise and fall."""
 
@@ -228,6 +238,7 @@ class FlightSpec:
     wind_layers: tuple[WindLayer, ...] = ()  # upwards; they replace wind_from and wind_speed
     gusts: tuple[Gust, ...] = ()  # in order, without overlap
     terrain: TerrainSpec | None = None  # None: flat ground
+    thermals: ThermalsSpec | None = None  # None: the air neither rises nor sinks
 
     @property
     def ground_alt(self) -> float:

@@ -171,6 +171,8 @@ def check_air(table: ProfileTable) -> list[str]:
         wrong.append(
             f"[wind] {quantity('speed_mps', wind.speed_mps)}: not used with layers; leave one of them out"
         )
+    if wind.thermals and table.terrain and table.terrain.file:
+        wrong.append("[wind.thermals] stand on flat ground; leave [terrain] file out")
     alts = [row.alt_m for row in wind.layers]
     for number, alt in enumerate(alts):
         if alt in alts[:number]:

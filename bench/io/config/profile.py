@@ -19,6 +19,7 @@ from bench.core.records.flight_specs import (
     Gust,
     Runway,
     TerrainSpec,
+    ThermalsSpec,
     WindLayer,
 )
 from bench.core.records.sensor_specs import AssumedSpecs, SensorsSpec
@@ -364,6 +365,7 @@ def _make_flight(table: ProfileTable, aircraft: AircraftSpec, terrain: TerrainSp
             for row in sorted(table.gust, key=lambda row: row.start_s)
         ),
         terrain=terrain,
+        thermals=ThermalsSpec(**convert_figures(ThermalsSpec, wind.thermals)) if wind.thermals else None,
     )
 
 

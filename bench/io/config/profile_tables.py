@@ -12,7 +12,16 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from pydantic import AfterValidator, BeforeValidator, Field, create_model
 from pydantic_core import PydanticCustomError
 
-from bench.core.records.flight_specs import ALTITUDES, SECONDS, SPEEDS, Gust, Leg, Runway, WindLayer
+from bench.core.records.flight_specs import (
+    ALTITUDES,
+    SECONDS,
+    SPEEDS,
+    Gust,
+    Leg,
+    Runway,
+    ThermalsSpec,
+    WindLayer,
+)
 from bench.core.records.instruments import INSTRUMENTS
 from bench.core.records.specs import EvaluationWindow
 from bench.io.config.fault_tables import FaultTable
@@ -105,6 +114,8 @@ class WindTable(Table):
     """Its speed."""
     layers: Annotated[tuple[make_table_type(WindLayer), ...], ROWS] = ()  # type: ignore[valid-type]
     """Wind by altitude, in place of the two."""
+    thermals: make_table_type(ThermalsSpec) | None = None  # type: ignore[valid-type]
+    """Thermals of a convective layer, and the sink between them."""
     turbulence: Annotated[Any, AfterValidator(_check_turbulence)] = "none"
     """Severity: "none", "light", "moderate", "severe", or its index in MIL-F-8785C, 0 to 7."""
 

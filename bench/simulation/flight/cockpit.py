@@ -12,6 +12,7 @@ from bench.simulation.flight.guidance.belief import Belief
 from bench.simulation.flight.guidance.shaping import GUIDANCE_RATE, smoothstep
 from bench.simulation.flight.panel import Panel
 from bench.simulation.flight.turbulence.dryden import LIGHT
+from bench.simulation.flight.turbulence.thermals import locate_thermals
 
 SURFACES = ("aileron", "elevator", "rudder")
 
@@ -57,6 +58,7 @@ class Cockpit(Panel):
         begun |= self.approach_gains
         flared = spec.aircraft.flare_gains if spec.severity >= LIGHT else {}
         self._flared = [(writer(name), begun[name], to) for name, to in flared.items()]
+        self.thermal_places = locate_thermals(spec)  # latitude and longitude, the nearest to the start first
         self.course = self.heading()  # the heading to hold between turns, not wrapped [rad]
         self._read_lags()
         self._plan: tuple[float, float, int, int] | None = None  # an airspeed change on its way

@@ -28,6 +28,7 @@ from bench.core.records.flight_specs import FlightSpec
 from bench.simulation.flight.executive import find_property
 from bench.simulation.flight.guidance.shaping import GUIDANCE_RATE
 from bench.simulation.flight.jsbsim_units import FT
+from bench.simulation.flight.turbulence.thermals import through_thermals
 
 GUSTS = ("u", "v", "w", "p", "q", "r")
 """Columns of gusts: [m/s] and [rad/s]."""
@@ -200,21 +201,19 @@ def _phi_2(x: FloatArray) -> FloatArray:
 
 
 def through_turbulence(fdm: Any, spec: FlightSpec, dt: float) -> Callable[[], Any]:
-    """Return the step function of the model with the turbulence of the plan, or JSBSim's own ``run``.
+    """Return the step function of the model in the turbulence and thermals of the plan.
 
     The gust is zero at the start, where the aircraft is trimmed, and has its full strength after the
     distance of a few scales. Models of others have no property for the rates of the air: they feel u, v
     and w.
     """
     fdm["atmosphere/turb-type"] = 0
-    if not spec.severity:
-        run: Callable[[], Any] = fdm.run
-        return run
-    return _Turbulence(fdm, spec, dt).step
+    run = through_thermals(fdm, spec, dt)
+    return _Turbulence(fdm, spec, dt, run).step if spec.severity else run
 
 
 class _Turbulence:
-    def __init__(self, fdm: Any, spec: FlightSpec, dt: float) -> None:
+    def __init__(self, fdm: Any, spec: FlightSpec, dt: float, run: Callable[[], Any]) -> None:
         def read(name: str) -> Callable[[], float]:
             found: Callable[[], float] = find_property(fdm, name).get_double_value
             return found
@@ -223,7 +222,7 @@ class _Turbulence:
             found: Callable[[float], None] = find_property(fdm, name).set_double_value
             return found
 
-        self._run, self._severity, self._dt = fdm.run, spec.severity, dt
+        self._run, self._severity, self._dt = run, spec.severity, dt
         self._carried = carrying_speed(spec.severity) / FT if spec.aircraft.hovers else 0.0
         self._per_tick = round(1 / (GUIDANCE_RATE * dt))
         self._filters = GustFilters(fdm["metrics/bw-ft"] * FT)
