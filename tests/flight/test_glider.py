@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from bench.core.mathematics.earth import difference_n
 from bench.core.mathematics.rotation import to_euler
 from bench.core.records.flight_specs import ThermalsSpec
 from bench.core.words.exceptions import ConfigError, FlightError
@@ -228,13 +229,13 @@ def test_thermals_follow_from_the_seed():
     assert not np.allclose(one.places, other.places)
     assert one.vertical_wind(10.0, 20.0, 500.0) == again.vertical_wind(10.0, 20.0, 500.0)
     assert len(one.places) == round(0.6 * one.side**2 / (1401.0 * outer_radius(0.4 * 1401.0, DESERT)))
-    near = locate_thermals(SOARING)
-    away = [hypot(lat - SOARING.lat, (lon - SOARING.lon) * np.cos(SOARING.lat)) for lat, lon in near]
-    assert (np.diff(away) > -1e-6).all()
+    near = np.array([(*place, SOARING.alt) for place in locate_thermals(SOARING)])
+    away = np.hypot(*difference_n(near, np.array([SOARING.lat, SOARING.lon, SOARING.alt]))[:, :2].T)
+    assert (np.diff(away) > -0.5).all()  # the Earth is round
 
 
 def test_a_glider_rises_in_its_thermal_by_the_air_that_it_meets():
-    """In calm air else: the recorded wind is the one of the field, less the sink of the polar it is the climb."""
+    """In calm air else: the recorded wind is the one of the field, less the sink of the polar the climb."""
     leg = CircleThermal(1, 1800.0, 90.0, radians(40.0), speed=22.5)
     truth = fly(replace(SOARING, legs=(Straight(5.0), leg), severity=0, wind_speed=0.0, duration=None))
     field = ThermalField(SOARING.thermals, SOARING.turbulence_seed)

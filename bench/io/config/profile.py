@@ -199,15 +199,12 @@ def _make_guidance(
         return None
     choice = make_choice(own.navigation, own.navigation, own.options)
     place = f"{shown}: [guidance]"
-    if (
-        not isinstance(flight, FlightSpec)
-        or not flight.aircraft.guided
-        or flight.aircraft.foreign is not None
-    ):
+    craft = flight.aircraft if isinstance(flight, FlightSpec) else None
+    if craft is None or not craft.guided or craft.foreign is not None:
         raise ConfigError(f"{place} is for aircraft of the bench; others have no guidance that it reaches")
-    if flight.aircraft.kind != FIXED_WING:
+    if craft.kind != FIXED_WING:
         raise ConfigError(
-            f"{place}: fixed-wing aircraft fly by an estimate or commands; {flight.aircraft.name} does not"
+            f"{place}: fixed-wing aircraft fly by an estimate or commands; {craft.name} does not"
         )
     if choice.use == CLIENT:
         return Guidance(choice, own.period_s, own.latency_s, own.error)

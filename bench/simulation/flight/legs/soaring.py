@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Generator
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
@@ -10,7 +11,7 @@ from bench.core.records.flight_specs import ALTITUDES, GLIDER, SECONDS, LegStart
 from bench.core.words.exceptions import FlightError
 from bench.simulation.flight.cockpit import Cockpit
 from bench.simulation.flight.guidance.paths import Follower, Point, SegmentPath, run_in, turn_radius
-from bench.simulation.flight.guidance.shaping import GUIDANCE_RATE, Steps, roll_time, smooth
+from bench.simulation.flight.guidance.shaping import GUIDANCE_RATE, roll_time, smooth
 from bench.simulation.flight.legs.keys import SIDES, AtSpeed, Bank, Key, format_deg
 
 
@@ -32,7 +33,7 @@ class CircleThermal(AtSpeed):
     def alt_after(self, start: LegStart) -> float:
         return math.nan
 
-    def fly(self, cockpit: Cockpit) -> Steps:
+    def fly(self, cockpit: Cockpit) -> Generator[None, None, str]:
         """Fly a tangent to the circle, follow it over ground, roll out."""
         places = cockpit.thermal_places
         if self.number > len(places):

@@ -67,14 +67,15 @@ def _row_profiles(ratio: FloatArray) -> FloatArray:
     """Return the profiles over w_c of all rows of the table at r/r_2 (...), (..., 7)."""
     k1, k2, k3, k4 = _SHAPES.T
     at = ratio[..., None]
-    return np.maximum(1.0 / (1.0 + (k1 * np.abs(at + k3)) ** k2) + k4 * at, 0.0)
+    profiles: FloatArray = np.maximum(1.0 / (1.0 + (k1 * np.abs(at + k3)) ** k2) + k4 * at, 0.0)
+    return profiles
 
 
 @cache
 def _integrate_rows() -> FloatArray:
     """Return the integrals of the profiles over the area, over r_2^2, (7,)."""
     step = _REACH / _PARTS
-    at = step * (np.arange(_PARTS) + 0.5)
+    at = step * (np.arange(_PARTS, dtype=np.float64) + 0.5)
     total: FloatArray = 2 * np.pi * step * (at @ _row_profiles(at))
     return total
 
