@@ -52,6 +52,8 @@ def test_the_glider_sinks_as_the_published_polar_says():
     assert_allclose(glide(fdm, 46 * KT)[1], 31.0, rtol=0.015)
     least = min(glide(fdm, kt * KT)[0] for kt in range(33, 46))
     assert_allclose(least, 0.67, rtol=0.06)
+    assert glide(fdm, 31.5 * KT)[0] < 0.67  # it stalls at 31 kt
+    assert glide(fdm, 30.5 * KT)[0] > 2.0
     low, high = glide(fdm, 24.0), glide(fdm, 24.0, alt=3000.0)
     assert_allclose(low, high, rtol=2e-3)  # the polar is one of calibrated airspeed
 
@@ -131,6 +133,53 @@ def test_what_a_glider_cannot_fly_is_said_in_one_message(change, message):
     with pytest.raises(ConfigError) as raised:
         read_profile("thermal-soaring", overrides=change)
     assert message in str(raised.value)
+
+
+PLAN = """
+aircraft = "jsbsim:SGS"
+rate_hz = 100
+[start]
+lat_deg = 47.0
+lon_deg = 11.0
+alt_m = 1200.0
+heading_deg = 85.0
+speed_mps = 24.0
+[[leg]]
+kind = "straight"
+duration_s = 20.0
+[[leg]]
+kind = "turn"
+by_deg = 60.0
+bank_deg = 20.0
+[sensors]
+imu = "adis16475"
+[[estimator]]
+use = "free-inertial"
+"""
+
+
+def test_a_glider_of_the_jsbsim_wheel_flies_if_its_file_says_that_it_is_one(tmp_path):
+    """It sinks by its own tables, by hand; of another kind it is asked for an engine.
+
+    At 1200 m 24 m/s need a lift of 0.770, the elevator takes 0.014 of it, the wing gives it at 0.0713 rad, where
+    the drag is 0.0007 + 0.0354: 1.126 m/s.
+    """
+    (tmp_path / "aircraft/jsbsim").mkdir(parents=True)
+    (tmp_path / "plan.toml").write_text(PLAN)
+    own = (AIRCRAFT / "sgs/aircraft.toml").read_text()
+    sheet = tmp_path / "aircraft/jsbsim/SGS.toml"
+    sheet.write_text(own)
+    truth = fly(read_profile(tmp_path / "plan.toml").flight)
+    sunk = truth.lla[0, 2] - truth.lla[np.searchsorted(truth.t, 15.0), 2]
+    assert_allclose(sunk, 15 * 1.126, atol=0.1)
+    assert np.abs(truth.air.airspeed_true - 24.0).max() < 1.0
+    assert_allclose(np.degrees(to_euler(truth.q_nb)[2][-1]), 145.0, atol=3.0)
+    sheet.write_text(own.replace('kind  = "glider"', ""))
+    with pytest.raises(FlightError, match=r"no engine to hold a speed with; is it of kind = 'glider'\?"):
+        fly(read_profile(tmp_path / "plan.toml").flight)
+    sheet.write_text(own + "\n[stand]\nheight_m = 1.0\n")
+    with pytest.raises(ConfigError, match=r"\[stand\] is not used with kind = 'glider'"):
+        read_profile(tmp_path / "plan.toml")
 
 
 def test_a_thermal_leg_is_of_a_glider_and_needs_its_thermal():

@@ -30,6 +30,8 @@ def list_facts(result: RunResult) -> Iterable[str]:
         yield f"{result.truth.t[-1] - result.truth.t[0]:.0f} s"
     if wind := profile.get("wind"):
         yield f"{_describe_wind(wind)}, turbulence {wind['turbulence']}"
+        if layer := wind.get("thermals"):
+            yield f"thermals of {layer['w_star_mps']:g} m/s up to {layer['depth_m']:g} m above ground"
     if gusts := profile.get("gust"):
         yield "; ".join(map(_describe_gust, gusts))
     if "evaluation" in profile:
