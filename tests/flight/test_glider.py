@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+import bench
 from bench.core.mathematics.earth import difference_n
 from bench.core.mathematics.rotation import to_euler
 from bench.core.records.flight_specs import ThermalsSpec
@@ -161,8 +162,8 @@ use = "free-inertial"
 def test_a_glider_of_the_jsbsim_wheel_flies_if_its_file_says_that_it_is_one(tmp_path):
     """It sinks by its own tables, by hand; of another kind it is asked for an engine.
 
-    At 1200 m 24 m/s need a lift of 0.770, the elevator takes 0.014 of it, the wing gives it at 0.0713 rad, where
-    the drag is 0.0007 + 0.0354: 1.126 m/s.
+    At 1200 m 24 m/s need a lift of 0.770, the elevator takes 0.014 of it, the wing gives it at 0.0713 rad,
+    where the drag is 0.0007 + 0.0354: 1.126 m/s.
     """
     (tmp_path / "aircraft/jsbsim").mkdir(parents=True)
     (tmp_path / "plan.toml").write_text(PLAN)
@@ -305,3 +306,24 @@ def test_a_glider_rises_in_its_thermal_by_the_air_that_it_meets():
     assert climb > 0.5
     assert_allclose(up[circling].mean() - climb, sink, atol=0.1)
     assert truth.events.select("leg")[1][2].split("; ")[-1].startswith("from ")
+
+
+@pytest.mark.long
+def test_a_filter_with_every_state_is_consistent_in_thermals():
+    """Six runs, each within the 99.9 % band of its own mean."""
+    for run in range(6):
+        found = bench.run("thermal-soaring", run=run).metrics["loose-full"]
+        assert found["nees_low"] < found["nees_mean"] < found["nees_high"]
+
+
+@pytest.mark.long
+def test_the_thermals_of_other_seeds_lift_it_too():
+    """No stall, which is at 16 deg of incidence, and each of three thermals is left higher than entered."""
+    for seed in range(1, 9):
+        truth = fly(replace(SOARING, turbulence_seed=seed))
+        assert np.degrees(truth.air.alpha).max() < 16.0
+        climbs = [
+            text.split("; from ")[1].split() for *_, text in truth.events.select("leg") if "; from" in text
+        ]
+        assert len(climbs) == 3
+        assert all(float(end) > float(begin) + 50.0 for begin, _, end, _ in climbs)

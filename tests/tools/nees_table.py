@@ -48,6 +48,7 @@ LEFT_OUT = {
     "mapping",
     "survey-multirotor",
     "terrain-following",
+    "thermal-soaring",
     "touch-and-go",
 }
 """Profiles that are there for their truth, and have the sensors and filters of others."""
