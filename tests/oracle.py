@@ -28,7 +28,7 @@ from bench.navigation.models.loose_tight import Loose
 from tests.measured import stamp, write_measured
 
 LIMITS = {"position": 0.05, "velocity": 0.005, "attitude": 20e-6}  # RMS [m], [m/s], [rad]
-EXEMPT = ("polar", "static", "all-sensors")
+EXEMPT = ("polar", "static", "all-sensors", "thermal-soaring")
 OTHERWISE = {
     "sensors.imu": "stim300",
     "sensors.gnss": "l1-code",
