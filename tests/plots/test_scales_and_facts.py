@@ -47,6 +47,10 @@ def test_wind_layers_and_gusts_are_told():
     assert "gust of 5 m/s at 400 s" in text
     calm = list_facts_of(wind={"from_deg": 270.0, "speed_mps": 5.0, "layers": [], "turbulence": "none"})
     assert "wind 5 m/s from 270°, turbulence none" in calm
+    assert "thermals" not in calm + text
+    layer = {"w_star_mps": 3.0, "depth_m": 2600.0}
+    rising = list_facts_of(wind={"from_deg": 0.0, "speed_mps": 1.0, "turbulence": 1, "thermals": layer})
+    assert "thermals of 3 m/s up to 2600 m above ground" in rising
 
 
 def test_the_first_filter_whose_claim_holds_and_is_of_use_stands_first():
