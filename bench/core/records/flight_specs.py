@@ -195,9 +195,9 @@ class ThermalsSpec:
     """Convective layer over flat ground, for the thermals in it."""
 
     w_star: float = figure("mps", 0.1, 10)
-    """Its velocity scale w* [m/s]; 2.56 on an average day in the desert of Nevada."""
+    """Velocity scale w* of the convective layer [m/s]; 2.56 on an average day in the desert of Nevada."""
     depth: float = figure("m", 100, 5000)
-    """Its depth above the ground [m]; 1401 there."""
+    """Depth of the layer above the ground [m]; 1401 on that day."""
 
 
 @declared

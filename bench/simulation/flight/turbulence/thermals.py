@@ -21,8 +21,8 @@ air is still above z_i / 1.1, where the mean updraft ends. The sink is the one t
 wind of the area zero at each height: the program's counts every thermal as a mean one, and leaves out 2 % of
 the updraft.
 
-Thermals stand upright over their places and last. Strengths and radii of single ones are within 20 % of the
-mean, which is a choice of this project.
+Thermals stand upright over their places and last; the aircraft feels them at its center, not across the span.
+Strengths and radii of single ones are within 20 % of the mean. These are choices of this project.
 """
 
 from __future__ import annotations
