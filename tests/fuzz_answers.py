@@ -37,7 +37,7 @@ _THINGS: tuple[Any, ...] = (
 _TEXTS: tuple[Any, ...] = (
     "", "a", "t_s", "lat_rad", "pos_n", "\x1b[2J</script>", "b\0", "a\nb", "é☃", "x" * 5000, "..", "a/b",
     "{}", "%s", "failed", "not_covered", "traceback", "program", "stderr", "reset", "restart", "alignment",
-    "crash", "sanity", "integrity", "gnss", "gnss_position", "gnss_outage", "wind", "ended",
+    "crash", "sanity", "exceedance", "integrity", "gnss", "gnss_position", "gnss_outage", "wind", "ended",
 )  # fmt: skip
 _NO_TEXTS: tuple[Any, ...] = ("a\ud800", 5, None, b"a")
 _NUMBERS = (

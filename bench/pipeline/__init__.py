@@ -190,5 +190,6 @@ def _describe_scene(profile: Profile) -> dict[str, Any]:
         "lon_deg": degrees(runway.lon),
         "alt_m": runway.alt,
         "heading_deg": degrees(runway.heading),
+        "width_m": runway.width,
     }
     return {"mesh": profile.flight.mesh, "antenna_mask_deg": mask, "runway": place}

@@ -267,3 +267,12 @@ def test_the_laws_are_broken_by_a_truth_that_is_wrong(figure_eight_truth):
     assert velocity_error(replace(truth, vel_n=truth.vel_n * [1, -1, 1])) > 1.0
     late = np.roll(truth.dtheta_b, 1, axis=0)
     assert attitude_error(replace(truth, dtheta_b=late))[1] > 5e-9
+
+
+EXCEEDANCES: dict[str, str] = {}
+"""Profiles with an exceedance, and what is exceeded."""
+
+
+def test_only_some_flights_exceed_a_limit(flight):
+    texts = [text for _, _, text in flight.truth.events.select("exceedance")]
+    assert [text.partition(":")[0] for text in texts] == EXCEEDANCES.get(flight.name, "").split()

@@ -571,6 +571,7 @@ def test_a_runway_lies_where_the_flight_is_low_over_it_or_beside_it(beside, run,
         "lon_deg": np.rad2deg(lon),
         "alt_m": 1199.0,
         "heading_deg": np.rad2deg(0.6),
+        "width_m": 30.0,
     }
     result.more["scene"]["runway"] = place
     found = static_batches_of(result, tmp_path)

@@ -123,7 +123,8 @@ def print_result(console: Console, result: RunResult, *, table: bool) -> None:
         result_table.print_screen(console, result.metrics, result.solutions)
     result_table.print_bound(console, result.metrics)
     if "log" not in result.more:
-        show.print_sanity(console, result.events.select("sanity"))
+        for kind in ("sanity", "exceedance"):
+            show.print_remarks(console, kind, result.events.select(kind))
         for start, _, text in result.events.select("crash"):
             console.print(f"The flight ended at {start:.1f} s: {text}", style="red")
 

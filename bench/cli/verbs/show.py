@@ -46,7 +46,8 @@ def print_flight(console: Console, profile: Profile, summary: Mapping[str, Any])
     print_tables(console, tables)
     for _, _, text in summary["table"]:
         console.print(f"{profile.flight.label}: {text}", soft_wrap=True)
-    print_sanity(console, summary["sanity"])
+    print_remarks(console, "sanity", summary["sanity"])
+    print_remarks(console, "exceedance", summary["exceedances"])
 
 
 def describe_replay(position: float, attitude: float) -> str:
@@ -68,11 +69,11 @@ def describe_replay(position: float, attitude: float) -> str:
     return f"{describe(position, lengths)}, {describe(attitude, angles)}"
 
 
-def print_sanity(console: Console, remarks: Sequence[tuple[float, float, str]]) -> None:
-    """Print motions that are implausible for the aircraft class, or inconsistent rows of a table."""
+def print_remarks(console: Console, kind: str, remarks: Sequence[tuple[float, float, str]]) -> None:
+    """Print events of a kind: "sanity", what is implausible, or "exceedance", limits of the aircraft."""
     for start, end, text in remarks:
         when = f"{start:.1f} s" if end == start else f"{start:.1f} to {end:.1f} s"
-        console.print(f"sanity, {when}: {text}", style="yellow")
+        console.print(f"{kind}, {when}: {text}", style="yellow")
 
 
 def _describe_flight(summary: Mapping[str, Any]) -> dict[str, str]:

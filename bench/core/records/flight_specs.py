@@ -42,6 +42,20 @@ class RunwaySpec:
     """Sink rate that the flare aims at [m/s]."""
 
 
+@declared
+class EnvelopeSpec:
+    """Limits beyond which a flight has an exceedance; 0: not stated."""
+
+    stall: float = figure("deg", 0, 90, default=0.0)
+    """Angle of attack of the stall; 0: not stated [rad]."""
+    max_cas: float = figure("mps", 0, SPEEDS[1], default=0.0)
+    """Largest calibrated airspeed, VNE or VMO; 0: not stated [m/s]."""
+    max_eas: float = figure("mps", 0, SPEEDS[1], default=0.0)
+    """Largest equivalent airspeed, where VMO is one; 0: not stated [m/s]."""
+    max_mach: float = figure("", 0, 5, default=0.0)
+    """Largest Mach number, MMO; 0: not stated."""
+
+
 @dataclass(frozen=True, slots=True)
 class ForeignSpec:
     """Additional figures of an aircraft from the jsbsim wheel or from the user."""
@@ -87,6 +101,7 @@ class AircraftSpec:
     configuration: tuple[str, ...] = ()  # parts that a leg may set: "flaps", "gear"
     kind: str = FIXED_WING  # MULTIROTOR or GLIDER: its guidance system, trim and legs
     stand_height: float | None = None  # of a multirotor on its legs [m]
+    envelope: EnvelopeSpec = EnvelopeSpec()
 
     @property
     def hovers(self) -> bool:
@@ -121,6 +136,10 @@ class Runway:
     """Height above the WGS 84 ellipsoid [m]."""
     heading: float = figure("deg", 0, 360)
     """Heading from true north [rad]."""
+    width: float = figure("m", 1, 200, default=40.0)
+    """Width of a runway; a leg on the ground that leaves it fails [m]."""
+    length: float = figure("m", 0, 20000, default=0.0)
+    """Length of a runway; 0: not stated, without an end [m]."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -45,6 +45,12 @@ def make_runway(table: ProfileTable) -> Runway | None:
     return Runway(**convert_figures(Runway, row))
 
 
+def find_start(table: ProfileTable) -> dict[str, float]:
+    """Return the place and heading of the start, by the fields of `FlightSpec`."""
+    figures = convert_figures(Runway, table.start)
+    return {name: figures[name] for name in ("lat", "lon", "alt", "heading")}
+
+
 def choose_ground(table: ProfileTable) -> float:
     """Return the ellipsoidal height of the ground [m]: of the runway, of [terrain], else the ellipsoid."""
     if runway := make_runway(table):
@@ -131,6 +137,10 @@ def _check_start(table: ProfileTable, aircraft: AircraftSpec) -> list[str]:
                 f"[start] on_ground = true: the {aircraft.name} has no [{table_of}] in its aircraft.toml"
             )
         return wrong
+    for key in ("width_m", "length_m"):
+        if key in start.model_fields_set:
+            what = quantity(key, getattr(start, key))
+            return [f"[start] {what} is not used: it is of a runway, with on_ground = true"]
     if aircraft.hovers:
         if start.speed_mps is None:
             return []

@@ -16,6 +16,7 @@ from bench.core.records.flight_specs import (
     SPEEDS,
     WINGS,
     AircraftSpec,
+    EnvelopeSpec,
     ForeignSpec,
     RunwaySpec,
 )
@@ -89,6 +90,7 @@ class AircraftTable(Table):
     static_port: _Position = Field(default_factory=_Position.at_cg)
     runway: make_table_type(RunwaySpec) | None = None  # type: ignore[valid-type]
     stand: _Stand | None = None
+    envelope: make_table_type(EnvelopeSpec) | None = None  # type: ignore[valid-type]
     configuration: Annotated[tuple[Literal["flaps", "gear"], ...], ROWS] = ()
     """Parts that a leg may move."""
     guidance: dict[str, float] = Field(default_factory=dict)
@@ -239,9 +241,8 @@ def _make_aircraft(
     if wings and limits.min_speed_mps < SPEEDS[0]:
         what = quantity("min_speed_mps", limits.min_speed_mps)
         raise ConfigError(f"{shown}: [limits] {what} is below {SPEEDS[0]} m/s; 0 is for kind = 'multirotor'")
-    not_used: tuple[str, ...] = (
-        () if wings else ("trim", "runway", "configuration", "rough_air", "rough_flare", "approach")
-    )
+    gains = ("rough_air", "rough_flare", "approach")
+    not_used: tuple[str, ...] = () if wings else ("trim", "runway", "configuration", "envelope", *gains)
     if table.kind == GLIDER:
         not_used = ("runway", "configuration", "rough_flare", "approach")
     for name in (*not_used, *(["stand"] if wings else [])):
@@ -260,7 +261,7 @@ def _make_aircraft(
     missing = [name for name in table.assumed if name not in table.model_fields_set]
     if missing:
         raise ConfigError(f"{shown}: assumed names {missing[0]!r}, which is not a table of this file")
-    for key in ("rough_air", "rough_flare", "approach"):
+    for key in gains:
         unknown = [name for name in getattr(table, key) if name not in table.guidance]
         if unknown:
             raise ConfigError(f"{shown}: [{key}] {unknown[0]!r} is not a gain of [guidance]")
@@ -291,6 +292,7 @@ def _make_aircraft(
         configuration=table.configuration,
         kind=table.kind,
         stand_height=table.stand.height_m if table.stand else None,
+        envelope=EnvelopeSpec(**convert_figures(EnvelopeSpec, table.envelope) if table.envelope else {}),
     )
 
 

@@ -17,7 +17,6 @@ from bench.core.records.flight_specs import (
     Flight,
     FlightSpec,
     Gust,
-    Runway,
     TerrainSpec,
     ThermalsSpec,
     WindLayer,
@@ -342,7 +341,7 @@ def _make_flight(table: ProfileTable, aircraft: AircraftSpec, terrain: TerrainSp
     return FlightSpec(
         aircraft=aircraft,
         rate=float(table.rate_hz),
-        **convert_figures(Runway, start),
+        **leg_checks.find_start(table),
         speed=leg_checks.choose_first_speed(table, aircraft),
         wind_from=math.radians(wind.from_deg),
         wind_speed=float(wind.speed_mps),

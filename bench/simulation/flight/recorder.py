@@ -2,7 +2,7 @@
 
 JSBSim steps at the smallest multiple of the truth rate that is at least 400 Hz, a script at least as often as
 it asks for. Air data, controls and the sequencer run at 20 Hz. What was not made for the bench has a sanity
-report.
+report, a plan its exceedances.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from typing import Any, TypeVar
 from bench.core.records.data import EventRow, Trajectory
 from bench.core.records.flight_specs import FlightSpec, ScriptSpec
 from bench.core.words.exceptions import FlightError
+from bench.simulation.flight.exceedances import Exceedances
 from bench.simulation.flight.executive import load_aircraft, load_script, say_in_one_line
 from bench.simulation.flight.guidance.belief import Belief
 from bench.simulation.flight.guidance.sequencer import Cockpit, FlownLeg, engage, fly_legs
@@ -75,7 +76,8 @@ def fly_pieces(
     ------
     Trajectory
         Truth at spec.rate from t = 0, of the IMU, as `make_truth` yields it; the flown legs are events of
-        kind "leg". Events of kind "sanity" say what no aircraft of its class does.
+        kind "leg". Events of kind "sanity" report motion beyond the limits of the class, events of kind
+        "exceedance" runway excursions, hard landings, stalls and overspeed.
 
     Raises
     ------
@@ -87,7 +89,7 @@ def fly_pieces(
     else:
         stretches = record_plan(spec, progress, seconds, say, belief)
         if not spec.aircraft.guided:
-            stretches = report_sanity(stretches, spec.aircraft.category)
+            stretches = report_sanity(stretches, spec.aircraft.category, landings=False)
     return make_truth(stretches, spec.rate)
 
 
@@ -104,6 +106,7 @@ def record_plan(
     craft = spec.aircraft
     kind = {"guided": craft.guided, "hovers": craft.hovers, "glides": craft.glides}
     log = StateLog(fdm, dt, f"aircraft {craft.name}", craft.imu_b, **kind)
+    exceedances = Exceedances(spec, fdm)
     run, keep_state = through_turbulence(fdm, spec, dt), log.keep_state
     shares = [k / log.per_tick for k in range(1, log.per_tick + 1)]
     flown: list[FlownLeg] = []
@@ -119,7 +122,7 @@ def record_plan(
                     belief.step(share)
                 run()
                 keep_state()
-            yield from log.cut(seconds, kept=0 if belief else 1)
+            yield from map(exceedances.add, log.cut(seconds, kept=0 if belief else 1))
             if progress is not None and t % 1.0 == 0.0:
                 progress(t)
     except FlightError as error:
@@ -130,7 +133,9 @@ def record_plan(
     for _ in range(NEIGHBORS):
         run()
         keep_state()
-    yield log.cut_rest([*((leg.start, leg.end, "leg", leg.text) for leg in flown), *ended])
+    rest = exceedances.add(log.cut_rest([]))
+    legs = ((leg.start, leg.end, "leg", leg.text) for leg in flown)
+    yield replace(rest, events=[*legs, *ended, *exceedances.rows()])
 
 
 def record_script(

@@ -95,7 +95,7 @@ def choose_flight(motions: Iterable[Motion], what: str) -> tuple[slice, list[Eve
     return slice(first, end), [(0.0, 0.0, "sanity", text)]
 
 
-def report_sanity(stretches: Iterable[Stretch], category: str) -> Iterator[Stretch]:
+def report_sanity(stretches: Iterable[Stretch], category: str, *, landings: bool = True) -> Iterator[Stretch]:
     """Pass on the segments of a flight; add an event for each kind of excess to the last segment.
 
     Parameters
@@ -104,8 +104,10 @@ def report_sanity(stretches: Iterable[Stretch], category: str) -> Iterator[Stret
         One continuous flight, from t = 0.
     category : str
         Class of the aircraft, a key of ``LIMITS``.
+    landings : bool
+        Whether the report covers hard landings; those of a plan are exceedances.
     """
-    report = _Report(category)
+    report = _Report(category, landings)
     for stretch in stretches:
         report.add(stretch)
         if stretch.events is None:
@@ -117,8 +119,8 @@ def report_sanity(stretches: Iterable[Stretch], category: str) -> Iterator[Stret
 class _Report:
     """Motion beyond the limits of the class of an aircraft, collected from the segments of its flight."""
 
-    def __init__(self, category: str) -> None:
-        self._category, self._limits = category, LIMITS[category]
+    def __init__(self, category: str, landings: bool) -> None:
+        self._category, self._limits, self._landings = category, LIMITS[category], landings
         self._jump = 0.5 * (self._limits.load_high - self._limits.load_low)  # [g]
         self._force_b = np.empty((0, 3))  # of the last step [g]
         self._ground = np.empty((0, 4))  # the last row
@@ -145,7 +147,8 @@ class _Report:
         speed = np.hypot(vel_n[:, 0], vel_n[:, 1])
         earlier = np.concatenate([self._ground if len(self._ground) else ground[:1], ground[:-1]])
         self._ground = ground[-1:]
-        hard = (ground[:, 2] > earlier[:, 2]) & (earlier[:, 1] > _HARD)  # by the sink rate before the touch
+        touches = self._landings & (ground[:, 2] > earlier[:, 2])
+        hard = touches & (earlier[:, 1] > _HARD)  # by the sink rate before the touch
         self._note("hit", hard, t_air, earlier[hard, 1])
         scraped = (ground[:, 3] > 0) & (speed > _ROLLING)
         self._note("scrape", scraped, t_air, speed[scraped])

@@ -67,7 +67,7 @@ _JUMP = 1e-4  # the center of gravity jumped when it moved further in one step [
 
 
 class StateLog:
-    """Log of the states at every step, and at 20 Hz of air data, controls and contacts of foreign models.
+    """Log of the states at every step, and at 20 Hz of air data, controls and contacts.
 
     Parameters
     ----------
@@ -116,12 +116,13 @@ class StateLog:
 
         engine = next((name for name in _ENGINES if manager.get_node(name)), "none")
         foreign = (*_AIR, (engine, RPM), *_SURFACES, ("fcs/throttle-cmd-norm", 1.0))
-        slow = (_UNPOWERED if glides else _OWN) if guided else (*foreign, *_GROUND)
+        own = _UNPOWERED if glides else _OWN
+        slow = (*(own if guided else foreign), *_GROUND)
         names = _MOTION if guided else (*_MOTION, *_CENTER)
         self.dt, self.per_tick = dt, round(1.0 / (GUIDANCE_RATE * dt))
         self._what, self._imu_b, self._guided, self._hovers = what, imu_b, guided, hovers
         self._read_state = [read(name) for name in names]
-        contacts = [] if guided else [touch("gear"), touch("contact")]
+        contacts = [touch("gear"), touch("contact")]
         self._read_slow = [*(read(name) for name, _ in slow), *contacts]
         self._units = np.array([*(unit for _, unit in slow), *(1.0 for _ in contacts)])
         self._states, self._slow = array("d"), array("d")  # of them the next segment is made

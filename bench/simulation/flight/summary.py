@@ -37,6 +37,7 @@ class Summary:
         self._most: dict[str, float] = {}
         self._legs: list[tuple[float, float, str]] = []
         self._sanity: list[tuple[float, float, str]] = []
+        self._exceedances: list[tuple[float, float, str]] = []
         self._table: list[tuple[float, float, str]] = []
 
     def add(self, piece: Trajectory) -> None:
@@ -62,6 +63,7 @@ class Summary:
             self._take(f"{name}_rate", w_b[:, axis])
         self._legs += piece.events.select("leg")
         self._sanity += piece.events.select("sanity")
+        self._exceedances += piece.events.select("exceedance")
         self._table += piece.events.select("table")
 
     def _take(self, name: str, values: FloatArray) -> None:
@@ -71,7 +73,7 @@ class Summary:
             self._most[name] = max(most, self._most.get(name, most))
 
     def result(self) -> dict[str, Any]:
-        """Return the figures so far, the unit in each key; legs, sanity and remarks as (start, end, text)."""
+        """Return the figures so far, the unit in each key; events as (start, end, text)."""
         least, most = self._least, self._most
         duration = most["t"] - least["t"]
         both = {"alt": "_m", "height": "_m", "load_factor": ""}
@@ -94,5 +96,6 @@ class Summary:
             **{f"{axis}_rate_max_rad_s": most[f"{axis}_rate"] for axis in ("roll", "pitch", "yaw")},
             "legs": self._legs,
             "sanity": self._sanity,
+            "exceedances": self._exceedances,
             "table": self._table,
         }

@@ -27,7 +27,7 @@ class Stretch:
     first: int  # the step at which it begins; 0 is t = 0
     motion: Motion
     air: FloatArray  # (A, 14): the columns of AirData and Controls but t
-    ground: FloatArray  # (A, 4): height above it [m], sink rate [m/s], wheels touch, others touch; or (A, 0)
+    ground: FloatArray  # (A, 4): height above it [m], sink rate [m/s], wheels touch, others touch
     events: list[EventRow] | None = None  # of the whole flight, with its last segment
 
     @property

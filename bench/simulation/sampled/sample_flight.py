@@ -17,6 +17,7 @@ from bench.core.records.data import Events, Trajectory
 from bench.core.records.flight_specs import FlightSpec
 from bench.core.words.exceptions import FlightError
 from bench.simulation.flight.cockpit import SURFACES, Cockpit
+from bench.simulation.flight.exceedances import Exceedances
 from bench.simulation.flight.guidance.sequencer import FlownLeg, describe, fly_legs
 from bench.simulation.flight.guidance.shaping import GUIDANCE_RATE, Steps, wait
 from bench.simulation.flight.guidance.steering import Commanded, Commands, SurfaceCommand
@@ -70,7 +71,7 @@ class _SampleLog(StateLog):
         """Store air data and controls of the last stored state, and return them: `Stretch.air`, (14,)."""
         self.keep_air()
         row: FloatArray = np.array(self._slow[-len(self._units) :]) * self._units
-        return row
+        return row[:14]
 
 
 class SampleFlight:
@@ -104,6 +105,7 @@ class SampleFlight:
         for _ in range(NEIGHBORS):
             self._window.push(self._log.read_state(stored=False))
             self._run()
+        self._exceedances = Exceedances(spec, fdm, spec.rate)
         self._flown: list[FlownLeg] = []
         self._ticks = fly_legs(self._cockpit, spec, self._flown, Weather(fdm, spec))
         self._per_tick, self._step, self._held = round(1.0 / (GUIDANCE_RATE * dt)), 0, True
@@ -143,6 +145,7 @@ class SampleFlight:
     def cut(self) -> Trajectory:
         """Return the truth since the last cut: at least one sample."""
         (stretch,) = self._log.cut(self.uncut / GUIDANCE_RATE, kept=0)
+        self._exceedances.add(stretch)
         parts = (stretch.first, stretch.motion, stretch.air, stretch.ground)
         self._stretch.append(_SampledStretch(*parts, rate=self._rate))
         self._given = self._row
@@ -164,7 +167,7 @@ class SampleFlight:
         t = self._row / self._rate
         rows = [(0.0, t, "leg", describe(1, self._leg)), *([(t, t, "crash", ended)] if ended else [])]
         *pieces, last = self._pieces
-        return [*pieces, replace(last, events=Events.from_rows(rows))]
+        return [*pieces, replace(last, events=Events.from_rows([*rows, *self._exceedances.rows()]))]
 
     def _steer(self) -> None:
         """Let the present command act, without the lags that guidance has for commands at 20 Hz."""

@@ -23,7 +23,7 @@ from bench.views.recording.drawing import TIMELINE
 _MARKUP = re.compile(r"[\\`*_\[\]<>#!|~]")
 """Characters that mean something in Markdown."""
 
-WARNINGS = ("sanity", "gnss_outage", "fault", "timeline", "rejected", "diverged")
+WARNINGS = ("sanity", "exceedance", "gnss_outage", "fault", "timeline", "rejected", "diverged")
 """Kinds of event that are logged as warnings."""
 
 

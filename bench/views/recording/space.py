@@ -32,7 +32,6 @@ from bench.views.recording.meshes import MESHES
 
 _CALM = 0.1  # less wind has no arrow [m/s]
 _OBSTACLE = 15.0  # take-off and landing distances count to this height [m]
-_RUNWAY_WIDTH = 30.0  # as drawn: a profile has none [m]
 _ABREAST = 200.0  # of a runway: a low flight farther beside it is none of it [m]
 
 
@@ -250,11 +249,11 @@ def _send_runway(stream: Any, runway: Mapping[str, float], lla: FloatArray, orig
     pos = earth.local_ned(lla, threshold)
     over = (-pos[:, 2] < _OBSTACLE) & (np.abs(pos[:, :2] @ across) < _ABREAST)
     used = pos[over, :2] @ along
-    if not len(used) or np.ptp(used) < _RUNWAY_WIDTH:
+    if not len(used) or np.ptp(used) < runway["width_m"]:
         return
     length = 100.0 * np.ceil(float(used.max()) / 100.0)
     edges = ((0.0, -0.5), (length, -0.5), (length, 0.5), (0.0, 0.5), (0.0, -0.5))
-    outline = np.array([x * along + y * _RUNWAY_WIDTH * across for x, y in edges])
+    outline = np.array([x * along + y * runway["width_m"] * across for x, y in edges])
     lines = [outline, np.array([0.0 * along, length * along])]
     on_ground = [earth.displace(threshold, np.column_stack([line, np.zeros(len(line))])) for line in lines]
     stream.log(

@@ -16,7 +16,6 @@ from bench.simulation.flight.guidance.shaping import Steps, roll_time, smooth, t
 from bench.simulation.flight.legs.climbs import climb_ramp
 from bench.simulation.flight.legs.keys import Key, format_deg, side_of
 from bench.simulation.flight.legs.runway import (
-    EDGE,
     PATIENCE,
     POWER,
     Centerline,
@@ -107,7 +106,7 @@ class Approach(Leg):
             if above() < -50.0:
                 raise FlightError(f"{-above():.0f} m above the glide path: {cockpit.state()}")
             yield
-        if abs(follower.off) > EDGE:
+        if abs(follower.off) > 0.5 * runway.width:
             raise FlightError(f"{abs(follower.off):.0f} m off the centerline at the flare: {cockpit.state()}")
 
 

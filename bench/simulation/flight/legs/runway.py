@@ -27,7 +27,6 @@ from bench.simulation.flight.rotor_cockpit import RotorCockpit
 
 POWER = 2.0  # in which brakes are released and power is set [s]
 PATIENCE = 180.0  # for a take-off run or a landing roll [s]
-EDGE = 20.0  # the runway ends this far from its centerline [m]
 _HANDOVER = 1.0  # in which guidance takes the surfaces, or gives them back [s]
 _ROTATE = math.radians(5.0)  # rate at which the nose is raised [rad/s]
 _NEAR = 2.0  # an airspeed has nearly come when it lacks less [m/s]
@@ -298,7 +297,7 @@ class Centerline:
     """Steers along the centerline with the nose wheel."""
 
     def __init__(self, cockpit: Cockpit, runway: Runway) -> None:
-        self._cockpit = cockpit
+        self._cockpit, self._edge = cockpit, 0.5 * runway.width
         self._plane = Plane(cockpit, runway.lat, runway.lon, runway.alt)
         self._line = centerline(runway).segments[0]
         self.along, self.off, _ = self._line.relative(self._plane.position())
@@ -310,6 +309,6 @@ class Centerline:
     def steer(self) -> None:
         """Steer the nose back to the centerline."""
         self.along, self.off, _ = self._line.relative(self._plane.position())
-        if abs(self.off) > EDGE:
+        if abs(self.off) > self._edge:
             raise FlightError(f"ran off the runway to the {side_of(self.off)}: {self._cockpit.state()}")
         self._cockpit.set_heading(self._line.course - clip(_CENTER * self.off, _CENTER_MOST))
