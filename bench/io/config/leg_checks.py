@@ -138,7 +138,7 @@ def _check_start(table: ProfileTable, aircraft: AircraftSpec) -> list[str]:
             )
         return wrong
     for key in ("width_m", "length_m"):
-        if key in start.model_fields_set:
+        if getattr(start, key) != type(start).model_fields[key].default:
             what = quantity(key, getattr(start, key))
             return [f"[start] {what} is not used: it is of a runway, with on_ground = true"]
     if aircraft.hovers:
