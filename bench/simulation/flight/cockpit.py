@@ -56,6 +56,7 @@ class Cockpit(Panel):
         self.approach_gains = spec.aircraft.approach_gains
         self._landed = [(writer(name), begun[name], to) for name, to in self.approach_gains.items()]
         begun |= self.approach_gains
+        self.smooth_air = spec.severity == 0 and not spec.gusts
         flared = spec.aircraft.flare_gains if spec.severity >= LIGHT else {}
         self._flared = [(writer(name), begun[name], to) for name, to in flared.items()]
         self.thermal_places = locate_thermals(spec)  # latitude and longitude, the nearest to the start first

@@ -7,6 +7,9 @@ because bank follows its set-point late, and brings the distance off the path to
 
 with e the distance off the path, to the right, s its rate, v the ground speed, kappa the curvature to the
 right, and k a quarter of what the bank loop can follow: a damping of 0.87 at the frequency 0.58 k.
+
+Until a path is met, and in smooth air all along it, the bank stays within 3 deg of the one that is asked for.
+The way to the path is then no steeper than this bank can end: k/3 times the speed across is its acceleration.
 """
 
 from __future__ import annotations
@@ -26,6 +29,10 @@ Point = tuple[float, float]
 """North and east [m]."""
 
 _INTERCEPT = math.sin(math.radians(45.0))  # steepest backward pass to the path, across over along
+_MET = 0.1  # a path is met this close to it, in turn radii ...
+_ALIGNED = math.radians(5.0)  # ... and to its course [rad]
+_SPARE = math.radians(1.5)  # of bank for what disturbs a turn [rad]
+_ENDED = 0.8  # of the acceleration of the bank, that ends the way to a path
 _PATIENCE = 60.0  # how much longer than planned a path may take [s]
 _STRAYED = 150.0  # guidance has lost a path that is further off, in the turn radius or, if that is less, [m]
 
@@ -136,13 +143,21 @@ def run_in(cockpit: Cockpit, bank: float) -> float:
 
 
 class Follower:
-    """Keeps the aircraft on a path; one call of :meth:`steer` per time."""
+    """Keeps the aircraft on a path; one call of :meth:`steer` per time.
 
-    def __init__(self, cockpit: Cockpit, plane: Plane, path: SegmentPath, bank: float) -> None:
+    With ``asked`` the bank [rad] stays near it until the path is met, and in smooth air.
+    """
+
+    def __init__(
+        self, cockpit: Cockpit, plane: Plane, path: SegmentPath, bank: float, asked: float | None = None
+    ) -> None:
         self._cockpit, self._plane, self._segments = cockpit, plane, path.segments
         self._bank = bank
         self._window = roll_time(bank)
         self._quickness = 0.25 / (cockpit.bank_lag / 2 + 1 / cockpit.gain("bank-gain"))
+        self._asked, self._turning = asked, math.inf if asked is None else G * math.tan(asked)  # [m/s^2]
+        self._across = 3 * _ENDED * self._turning / self._quickness  # most speed across it [m/s]
+        self.met = False
         self._passed = 0.0  # length of the segments behind [m]
         self._index = 0
         self.off = 0.0  # distance off the path, to the right [m]
@@ -162,11 +177,16 @@ class Follower:
             self._index += 1
             along, off, course = self._segments[self._index].relative(point)
         self.along, self.off = self._passed + along, off
+        if not self.met:
+            turn = math.remainder(course - track, math.tau)
+            self.met = abs(off) < _MET * speed**2 / self._turning and abs(turn) < _ALIGNED
+        if limit is None and self._asked is not None and (self._cockpit.smooth_air or not self.met):
+            limit = self._asked + _SPARE
         ahead = self._ahead(along, speed)
         turning = speed**2 * ahead
         k = self._quickness
         across = speed * math.sin(track - course)
-        wanted = -clip(k * off / 3, speed * _INTERCEPT)
+        wanted = -clip(k * off / 3, min(speed * _INTERCEPT, self._across))
         crab = math.cos(math.remainder(self._cockpit.heading() - track, math.tau))
         tangent = (turning + k * (wanted - across)) / (G * max(crab, 0.3))
         bank = math.atan(tangent)
@@ -196,13 +216,13 @@ def follow(
     cockpit: Cockpit, plane: Plane, path: SegmentPath, bank: float, alt: Heights | None = None
 ) -> Steps:
     """Fly a path to its end, with heights along the path if given; ends in heading mode."""
-    follower = Follower(cockpit, plane, path, bank)
+    follower = Follower(cockpit, plane, path, bank, bank)
     strayed = max(_STRAYED, turn_radius(cockpit, bank))
     planned = path.length / max(cockpit.speed_wanted - cockpit.wind_speed(), 1.0)
     for _ in ticks(2 * planned + _PATIENCE):
         if not follower.steer():
             break
-        if abs(follower.off) > strayed:
+        if abs(follower.off) > (strayed if follower.met else 3 * strayed):
             side = "right" if follower.off > 0 else "left"
             raise FlightError(f"{abs(follower.off):.0f} m off the track to the {side}: {cockpit.state()}")
         if alt is not None:

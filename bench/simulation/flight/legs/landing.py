@@ -14,7 +14,7 @@ from bench.simulation.flight.cockpit import SURFACES, Cockpit
 from bench.simulation.flight.guidance.paths import Follower, SegmentPath
 from bench.simulation.flight.guidance.shaping import Steps, roll_time, smooth, ticks, wait
 from bench.simulation.flight.legs.climbs import climb_ramp
-from bench.simulation.flight.legs.keys import Key, format_deg, side_of
+from bench.simulation.flight.legs.keys import Bank, Key, format_deg, side_of
 from bench.simulation.flight.legs.runway import (
     PATIENCE,
     POWER,
@@ -27,7 +27,7 @@ from bench.simulation.flight.legs.runway import (
 from bench.simulation.flight.panel import Plane
 
 _ALIGNED = math.radians(60.0)  # an approach begins with its track this close to the runway's [rad]
-_FINAL_BANK = math.radians(30.0)  # of an approach [rad]
+_FINAL_BANK = math.radians(30.0)  # of an approach without a bank [rad]
 _FLARE_BANK = math.radians(8.0)  # most of it close to the ground [rad]
 _USUAL_GLIDE = math.radians(3.5)  # that flare heights are for
 _GAINS = 2.0  # in which the gains become those of an approach [s]
@@ -44,9 +44,11 @@ class Approach(Leg):
     leaves = "approach"
     glide: Annotated[float, Key("glide_deg", "angle of the path", 1, 10)] = math.radians(3.0)
     aim: Annotated[float, Key("aim_m", "the path meets the ground beyond the threshold", 0, 1000)] = 60.0
+    bank: Bank | None = None
 
     def describe(self) -> str:
-        return f"glide path {format_deg(self.glide)}"
+        path = f"glide path {format_deg(self.glide)}"
+        return path if self.bank is None else f"{path}, bank {format_deg(self.bank)}"
 
     def check(self, start: LegStart) -> list[str]:
         nowhere = [] if start.runway else ["there is no [runway] to approach"]
@@ -81,8 +83,8 @@ class Approach(Leg):
         for share in smooth(_GAINS) if cockpit.approach_gains else ():
             cockpit.hold_approach(share)
             yield
-        bank = min(_FINAL_BANK, cockpit.aircraft.max_bank)
-        follower = Follower(cockpit, plane, line, bank)
+        bank = min(self.bank or _FINAL_BANK, cockpit.aircraft.max_bank)
+        follower = Follower(cockpit, plane, line, bank, self.bank)
         # no step to begin with
         limits = chain((share * bank for share in smooth(roll_time(bank))), repeat(bank))
         rate = 0.0
