@@ -319,6 +319,29 @@ def test_an_approach_rolls_in_without_a_step():
     assert np.abs(truth.dtheta_b[:, 0]).max() / truth.t[1] < radians(25.0)
 
 
+@pytest.mark.parametrize("name", ["navion", "jet747"])
+def test_an_intercept_banks_as_asked(name):
+    """From 55 deg off the runway's heading, far to its side: 20 deg, and 24 or 20.5 deg without a bank.
+
+    The turn begins early enough for it: the aircraft passes the centerline by a few meters at most.
+    """
+    kind = KINDS[name]
+    before, above = kind.before
+    beside = np.array([-2 * before * cos(ALONG) + 0.7 * before * sin(ALONG), -2 * before * sin(ALONG)])
+    lat, lon, _ = earth.displace([LAT, LON, GROUND], [beside[0], beside[1] - 0.7 * before * cos(ALONG), 0.0])
+    start = {**final(kind), "lat": float(lat), "lon": float(lon), "alt": GROUND + 1.5 * above}
+    start["heading"] = ALONG + radians(55.0)
+    bank = {}
+    for asked in (None, radians(20.0)):
+        truth = fly(plan(Straight(3.0), Approach(radians(3.5), 60.0, asked), **start))
+        bank[asked] = np.degrees(np.abs(rotation.to_euler(truth.q_nb)[0]).max())
+        off = runway_frame(truth)[1]
+        assert off.min() < -0.6 * before
+        assert off.max() < (15.0 if asked is None else 6.0)
+        assert abs(off[-1]) < 2.0
+    assert bank[radians(20.0)] < min(23.0, bank[None] + 0.5)
+
+
 @pytest.mark.parametrize("profile", ["circuit", "circuit-navion"])
 def test_a_shipped_circuit_lands_as_it_should(recorded, profile):
     spec = read_profile(profile).flight

@@ -9,12 +9,14 @@ import pytest
 from numpy.testing import assert_allclose
 
 from bench.core.mathematics import earth, rotation
+from bench.core.records.flight_specs import Gust
 from bench.core.words.exceptions import FlightError
 from bench.simulation.flight import fly
+from bench.simulation.flight.guidance import paths
 from bench.simulation.flight.guidance.paths import Segment, SegmentPath
 from bench.simulation.flight.legs.level import Straight
 from bench.simulation.flight.legs.tracks import Holding, Survey, Waypoint, Waypoints
-from tests.flight.plans import CALM, plan
+from tests.flight.plans import CALM, fly_here, plan
 
 BANK = radians(30.0)
 WINDY = {"wind_from": radians(10.0), "wind_speed": 6.0}
@@ -184,3 +186,48 @@ def test_a_flight_blown_off_its_track_is_named():
         FlightError, match=r"leg 1 waypoints: .* m off the track to the (right|left): at 1200 m"
     ):
         fly(plan(Waypoints((place(-1500.0, 0.0),), BANK), aircraft=stiff))
+
+
+# --- banks as asked -----------------------------------------------------------------------------------
+
+
+ASKED = radians(20.0)
+SHORT = {  # two begin with a turn of 60 deg onto their first track
+    "holding": Holding(1, ASKED, course=radians(145.0), leg_time=25.0),
+    "survey": Survey(900.0, 500.0, 2, ASKED, course=radians(20.0)),
+    "waypoints": Waypoints((place(0.0, 1500.0), place(1500.0, 1500.0)), ASKED),
+}
+
+
+def most_bank(truth, begin: float = 0.0) -> float:
+    return float(np.degrees(np.abs(rotation.to_euler(truth.q_nb[truth.t >= begin])[0]).max()))
+
+
+@pytest.mark.parametrize("kind", SHORT)
+def test_a_bank_in_calm_air_is_the_one_that_is_asked_for(kind):
+    """Within 3 deg, the turn onto a first track 60 deg off the course included."""
+    assert 20.0 < most_bank(fly(plan(SHORT[kind]))) < 23.0
+
+
+def test_without_its_limit_the_turn_onto_a_track_banks_as_far_as_the_aircraft_goes(monkeypatch):
+    monkeypatch.setattr(paths, "_SPARE", radians(60.0))
+    assert most_bank(fly_here(plan(SHORT["holding"]))) > 40.0
+
+
+def test_in_gusts_a_track_that_is_met_may_take_more_bank():
+    """A wind of 10 m/s towards its outside comes up within the turn: 3 deg more do not hold the track."""
+    gust = Gust((0.0, 10.0, 0.0), start=50.0, rise=2.0, hold=20.0)
+    assert most_bank(fly_here(plan(SHORT["waypoints"], gusts=(gust,)))) > 25.0
+
+
+@pytest.mark.parametrize("course", [170.0, 260.0, 355.0])
+def test_a_track_is_met_from_any_course(course):
+    """From 85 deg: it turns at the bank asked for, comes back to the track and holds it."""
+    leg = Holding(1, ASKED, course=radians(course), leg_time=60.0)
+    truth = fly_here(plan(leg))
+    assert most_bank(truth) < 23.0
+    c, s = cos(radians(course)), sin(radians(course))
+    ned = ground(truth)
+    off = ned[:, 1] * c - ned[:, 0] * s
+    inbound = truth.t > truth.t[-1] - 20.0
+    assert np.abs(off[inbound]).max() < 3.0
