@@ -369,3 +369,23 @@ def test_climb_cruise_descend_is_flown(recorded):
     assert truth.air.pressure.min() > 300e2  # what the barometer is specified to
     outage = profile.sensors.gnss_outages[0]
     assert any(start <= outage[0] and outage[1] <= end for start, end, text in rows if "straight" in text)
+
+
+@pytest.mark.slow
+def test_the_airliner_cruises_at_its_level_and_mach(recorded):
+    """FL350 by its pressure of ISO 2533, 238.42 hPa; Mach by the speed of sound, 20.0468 sqrt(T)."""
+    spec = read_profile("cruise-fl350").flight
+    truth = truth_of(recorded(spec), spec.rate)
+    air, legs = truth.air, truth.events.select("leg")
+    assert [text.split(":")[0][2:] for _, _, text in legs][1::2] == ["climb", "turn", "descend"]
+    begin, end = legs[2][0] + 30.0, legs[4][1]
+    level, cruise = (truth.t > begin) & (truth.t < end), (air.t > begin) & (air.t < end)
+    assert_allclose(truth.lla[level, 2], 35_000 * 0.3048, atol=5.0)
+    assert_allclose(air.pressure[cruise], 23_842.0, rtol=3e-3)
+    mach = air.airspeed_true / (20.0468 * np.sqrt(air.temperature))
+    assert_allclose(mach[cruise], 0.78, atol=0.005)
+    assert mach.max() < 0.8
+    assert 0.4 < truth.controls.throttle[cruise].mean() < 0.55  # it is half of what the engines have there
+    assert truth.controls.throttle.max() < 1.0
+    assert truth.events.select("exceedance") == []
+    assert 1100.0 < truth.t[-1] < 1300.0

@@ -36,7 +36,14 @@ _FLIGHTS = {
 PROFILES = [name for k, (name, spec) in enumerate(_FLIGHTS.items()) if spec not in [*_FLIGHTS.values()][:k]]
 """Of profiles that differ in sensors only, the first."""
 
-SHARED = {"circuit", "circuit-navion", "climb-cruise-descend", "figure-eight-matched", "high-dynamics"}
+SHARED = {
+    "circuit",
+    "circuit-navion",
+    "climb-cruise-descend",
+    "cruise-fl350",
+    "figure-eight-matched",
+    "high-dynamics",
+}
 """Profiles whose flights other test files look at too."""
 
 SHORTENED = {"duration": 20.0, "laps": 1, "count": 1, "strips": 2}
@@ -44,6 +51,7 @@ SHORTENED = {"duration": 20.0, "laps": 1, "count": 1, "strips": 2}
 
 FIRST_LEGS = {
     "airliner": 3,
+    "airliner-long": 2,
     "all-sensors": 4,
     "alpine-approach": 3,
     "gate-to-gate": 4,
