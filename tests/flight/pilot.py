@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import degrees, radians
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,6 +11,7 @@ from bench.core.mathematics import rotation
 from bench.core.mathematics.units import STANDARD_GRAVITY
 from bench.core.records.data import Trajectory
 from bench.core.records.flight_specs import FlightSpec
+from bench.simulation.flight.sanity import LIMITS
 from bench.simulation.signals.terrain import ground_at
 
 STOP = 0.999  # of the travel of a surface
@@ -72,9 +74,40 @@ def look_at(spec: FlightSpec, truth: Trajectory) -> Pilot:
 
 
 def asked_bank(spec: FlightSpec) -> float:
-    """Return the largest bank that the legs of a flight ask for [deg]."""
+    """Return the largest bank that the legs of a flight ask for [deg]; 30 deg if an approach asks for none."""
     asked: list[Any] = [getattr(leg, "bank", None) for leg in spec.legs]
     asked += [
-        np.radians(30.0) for leg in spec.legs if leg.kind == "approach" and not getattr(leg, "bank", None)
+        radians(30.0)
+        for leg, bank in zip(spec.legs, asked, strict=True)
+        if leg.kind == "approach" and not bank
     ]
-    return float(np.degrees(max((bank for bank in asked if bank), default=0.0)))
+    return degrees(max((bank for bank in asked if bank), default=0.0))
+
+
+def find_excess(spec: FlightSpec, pilot: Pilot) -> list[str]:
+    """Return what is beyond the limits of a flight with wings, a line each; nothing of what never flies.
+
+    The bank is the one asked for within 3 deg in smooth air, 8 deg in rough air; loads are those of the class
+    of aircraft, airspeeds within a tenth of its limits. Aerobatics have wider limits.
+    """
+    craft, load = spec.aircraft, LIMITS[spec.aircraft.category]
+    if np.isnan(pilot.bank) or craft.hovers:
+        return []
+    spare = 3.0 if spec.severity == 0 and not spec.gusts else 8.0
+    gentle = not any(leg.any_bank for leg in spec.legs)
+    slow, fast = 0.9 * craft.min_speed, (1.1 if gentle else 1.3) * craft.max_speed
+    limits = {
+        "bank": (pilot.bank, 0.0, asked_bank(spec) + spare if gentle else 180.0),
+        "least load": (pilot.load[0], load.load_low, load.load_high),
+        "most load": (pilot.load[1], load.load_low, load.load_high),
+        "least airspeed": (pilot.speed[0], slow, fast),
+        "most airspeed": (pilot.speed[1], slow, fast),
+        "sideslip": (pilot.slip, 0.0, 6.0 if gentle else 30.0),
+        "at a stop": (pilot.stopped, 0.0, 0.5 if gentle else 5.0),
+        "height": (pilot.height, 50.0, np.inf),
+    }
+    return [
+        f"{name}: {value:.3g} is outside {low:.3g} to {high:.3g}"
+        for name, (value, low, high) in limits.items()
+        if value < low or value > high
+    ]

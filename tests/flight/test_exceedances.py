@@ -16,8 +16,10 @@ from bench.simulation.flight.guidance.belief import Belief, NavEstimate
 from bench.simulation.flight.increments import Motion
 from bench.simulation.flight.legs.landing import Approach, Flare, LandingRoll
 from bench.simulation.flight.legs.level import Straight
+from bench.simulation.flight.legs.turns import Turn
 from bench.simulation.flight.recorder import fly_pieces
 from bench.simulation.flight.truth import Stretch
+from tests.flight.pilot import find_excess, look_at
 from tests.flight.plans import CALM, fly_here, plan, record_whole
 from tests.flight.test_legs_ground import ALONG, JET, KINDS, NAVION, RUNWAY, final, runway_frame
 
@@ -241,3 +243,20 @@ def test_a_runway_has_a_width_and_a_length():
     assert (flight.runway.width, flight.runway.length) == (30.0, 900.0)
     with pytest.raises(ConfigError, match=r"\[start\] width_m = 30 .* is not used: it is of a runway"):
         read_profile("figure-eight", {"start.width_m": 30.0})
+
+
+# --- what a pilot looks at ------------------------------------------------------------------------------
+
+
+def test_the_eye_of_a_pilot_sees_each_excess():
+    """A gust from the side and below, 40 deg of bank where 20 are asked, and a descent to 30 m."""
+    legs = Straight(3.0), Turn(radians(30.0), radians(20.0))
+    spec = plan(*legs, aircraft=NAVION, speed=50.0, alt=1000.0)
+    assert find_excess(spec, look_at(spec, fly_here(spec))) == []
+    gust = Gust((8.0, 0.0, -25.0), start=1.0, rise=0.5, hold=0.5, fall=0.5)
+    truth = fly_here(
+        plan(Straight(3.0), Turn(radians(60.0), radians(40.0)), aircraft=NAVION, speed=50.0, gusts=(gust,))
+    )
+    low = replace(spec, flat_alt=float(truth.lla[:, 2].min()) - 30.0)
+    found = [line.split(":")[0] for line in find_excess(low, look_at(low, truth))]
+    assert {"bank", "sideslip", "height"} <= {*found}

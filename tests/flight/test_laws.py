@@ -26,6 +26,7 @@ from bench.simulation.flight.legs.landing import Approach, Flare, LandingRoll
 from bench.simulation.flight.legs.level import Straight
 from bench.simulation.flight.legs.runway import Static, TakeOff
 from bench.simulation.flight.legs.surfaces import AileronRoll, Doublet, WindUpTurn
+from tests.flight.pilot import find_excess, look_at
 from tests.flight.plans import record_whole, truth_of
 from tests.flight.test_recorder import same_form_error, two_sample_error
 
@@ -284,3 +285,8 @@ EXCEEDANCES: dict[str, str] = {}
 def test_only_some_flights_exceed_a_limit(flight):
     texts = [text for _, _, text in flight.truth.events.select("exceedance")]
     assert [text.partition(":")[0] for text in texts] == EXCEEDANCES.get(flight.name, "").split()
+
+
+def test_a_pilot_would_fly_it_so(flight):
+    """The limits of the table of the guide (`tests.tools.pilot_table`), see `pilot.find_excess`."""
+    assert find_excess(flight.spec, look_at(flight.spec, flight.truth)) == []
