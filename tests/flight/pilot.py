@@ -74,7 +74,7 @@ def look_at(spec: FlightSpec, truth: Trajectory) -> Pilot:
 
 
 def asked_bank(spec: FlightSpec) -> float:
-    """Return the largest bank that the legs of a flight ask for [deg]; 30 deg if an approach asks for none."""
+    """Return the largest bank that the legs of a flight ask for [deg]; 30 deg if an approach has none."""
     asked: list[Any] = [getattr(leg, "bank", None) for leg in spec.legs]
     asked += [
         radians(30.0)

@@ -10,20 +10,22 @@ import sys
 from bench.core.records.flight_specs import FlightSpec
 from bench.io.config import read_profile
 from bench.io.config.listing import PROFILES
-from tests.flight.pilot import look_at
+from tests.flight.pilot import asked_bank, look_at
 from tests.flight.plans import fly_here
 
 
 def main(names: list[str]) -> None:
     """Print a row for each flight; a flight of several profiles has one."""
     flown: list[FlightSpec] = []
-    print("| profile | bank, deg | load factor | airspeed, m/s | sideslip, deg | at a stop, % | height, m |")
-    print("|---" * 7 + "|")
+    head = "bank asked for, deg", "bank, deg", "load factor", "airspeed, m/s", "sideslip, deg", "at a stop, %"
+    print(f"| profile | {' | '.join(head)} | height, m |")
+    print("|---" * 8 + "|")
     for name in names or sorted(path.stem for path in PROFILES.glob("*.toml")):
         spec = read_profile(name).flight
         if isinstance(spec, FlightSpec) and spec not in flown:
             flown.append(spec)
-            print(f"| `{name}` | {' | '.join(look_at(spec, fly_here(spec)).cells())} |", flush=True)
+            cells = [f"{asked_bank(spec):.0f}", *look_at(spec, fly_here(spec)).cells()]
+            print(f"| `{name}` | {' | '.join(cells)} |", flush=True)
 
 
 if __name__ == "__main__":
