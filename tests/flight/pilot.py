@@ -33,13 +33,13 @@ class Pilot(NamedTuple):
         def shown(value: float, form: str) -> str:
             return "-" if np.isnan(value) else format(value, form)
 
-        load, speed = (
-            " to ".join(shown(v, f) for v in pair) for pair, f in ((self.load, ".2f"), (self.speed, ".0f"))
-        )
+        def span(pair: tuple[float, float], form: str) -> str:
+            return "-" if np.isnan(pair[0]) else f"{pair[0]:{form}} to {pair[1]:{form}}"
+
         return [
             shown(self.bank, ".0f"),
-            load,
-            speed,
+            span(self.load, ".2f"),
+            span(self.speed, ".0f"),
             shown(self.slip, ".1f"),
             shown(self.stopped, ".1f"),
             shown(self.height, ".0f"),
