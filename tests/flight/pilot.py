@@ -93,7 +93,8 @@ def find_excess(spec: FlightSpec, pilot: Pilot) -> list[str]:
     craft, load = spec.aircraft, LIMITS[spec.aircraft.category]
     if np.isnan(pilot.bank) or craft.hovers:
         return []
-    spare = 3.0 if spec.severity == 0 and not spec.gusts else 8.0
+    smooth = spec.severity == 0 and not spec.gusts
+    spare, slip, stopped = (3.0, 5.0, 0.5) if smooth else (8.0, 10.0, 2.0)
     gentle = not any(leg.any_bank for leg in spec.legs)
     slow, fast = 0.9 * craft.min_speed, (1.1 if gentle else 1.3) * craft.max_speed
     limits = {
@@ -102,8 +103,8 @@ def find_excess(spec: FlightSpec, pilot: Pilot) -> list[str]:
         "most load": (pilot.load[1], load.load_low, load.load_high),
         "least airspeed": (pilot.speed[0], slow, fast),
         "most airspeed": (pilot.speed[1], slow, fast),
-        "sideslip": (pilot.slip, 0.0, 6.0 if gentle else 30.0),
-        "at a stop": (pilot.stopped, 0.0, 0.5 if gentle else 5.0),
+        "sideslip": (pilot.slip, 0.0, slip if gentle else 30.0),
+        "at a stop": (pilot.stopped, 0.0, stopped if gentle else 5.0),
         "height": (pilot.height, 50.0, np.inf),
     }
     return [
