@@ -58,7 +58,7 @@ class Acceptance:
     """Largest deviations of the acceptance flight."""
 
     bank: float  # [rad]
-    height: float  # [m]
+    height: float  # [m], 0 of a glider
     speed: float  # as a share
     load: tuple[float, float]  # [g]
     swing: float  # of bank and pitch at the end of 30 s straight, sd [rad]
@@ -168,7 +168,7 @@ def find_design(
     """
     raw = run_in_child(raw.name, "loaded", prepare_aircraft, raw)
     reason, fewest = "", 99
-    for attempt in attempts():
+    for attempt in attempts(glides=raw.glides):
         try:
             design = run_in_child(raw.name, "trimmed", design_gains, raw, *attempt)
         except FlightError as error:
@@ -177,7 +177,7 @@ def find_design(
             continue
         aircraft = equip(raw, design)
         try:
-            accepted = measure_acceptance(_fly(aircraft, design), design)
+            accepted = measure_acceptance(_fly(aircraft, design), design, glides=aircraft.glides)
         except FlightError as error:
             reason = reason or str(error)
             tell(str(error))
@@ -236,8 +236,11 @@ def _fly(aircraft: AircraftSpec, design: GainDesign) -> Trajectory:
     return truth
 
 
-def measure_acceptance(truth: Trajectory, design: GainDesign) -> Acceptance:
-    """Return the largest deviations of the acceptance flight from the commands of its legs."""
+def measure_acceptance(truth: Trajectory, design: GainDesign, *, glides: bool = False) -> Acceptance:
+    """Return the largest deviations of the acceptance flight from the commands of its legs.
+
+    A glider has no height to hold.
+    """
     roll, pitch, _ = to_euler(truth.q_nb)
     alt, air = truth.lla[:, 2], truth.air
     load = -truth.dvel_b[:, 2] / np.diff(truth.t) / STANDARD_GRAVITY
@@ -248,11 +251,11 @@ def measure_acceptance(truth: Trajectory, design: GainDesign) -> Acceptance:
         if number != 5:
             inside = (air.t >= start) & (air.t < end)
             speed = max(speed, float(np.abs(air.airspeed_true[inside] / asked - 1).max()))
-        if number in (0, 1, 2, 6):
-            turning = number == 1
-            if settled.any() and number != 2:  # which is there to roll out of the circle
-                off = np.abs(roll[settled] - (BANK if turning else 0.0))
-                bank = max(bank, float(off[: -_tail(truth, 6.0)].max() if turning else off.max()))
+        banked = {0: 0.0, 1: BANK, 6: 0.0} | ({3: -BANK} if glides else {})  # 2 and 4 roll out of a circle
+        if settled.any() and number in banked:
+            off = np.abs(roll[settled] - banked[number])
+            bank = max(bank, float(off[: -_tail(truth, 6.0)].max() if banked[number] else off.max()))
+        if number in (0, 1, 2, 6) and not glides:
             whole = (truth.t >= start) & (truth.t <= end)
             height = max(height, float(np.abs(alt[whole] - design.alt).max()))
         if number in (0, 6):
@@ -284,15 +287,19 @@ def _sheet_lines(
     rest = "; the model and its license stay with JSBSim" if of_wheel else ""
     yield f"# Found by bench new aircraft for {shown}{rest}."
     trim = design.trim
+    glides = aircraft.glides
     words = (
         f"Trim: alpha {math.degrees(trim.alpha):.2f} deg, elevator {trim.elevator:.3f}, throttle "
-        f"{trim.throttle:.3f}. Flown: 30 s straight, 360 deg at 20 deg of bank, 150 m up and down, "
+        f"{trim.throttle:.3f}. Flown: 30 s straight, 360 deg at 20 deg of bank, "
+        f"{'the same to the left' if glides else '150 m up and down'}, "
         f"6 % faster: {accepted.describe()}. Linear, in rad/s^2 or m/s^2 per unit of command, rad or rad/s: "
         f"{_list(design.derivatives)}."
     )
     yield from textwrap.wrap(words, 108, initial_indent="# ", subsequent_indent="# ")
     yield f'title    = "{aircraft.name} {whose}, {design.mass:.0f} kg"'
     yield f'class    = "{aircraft.category}"'
+    if glides:
+        yield f'kind     = "{aircraft.kind}"  # no engine: it holds its airspeed by pitch and sinks'
     package = "the jsbsim package; its model names its own sources" if of_wheel else "its model"
     yield f'source   = "{package}"'
     yield 'assumed  = ["limits", "antenna", "guidance"]'

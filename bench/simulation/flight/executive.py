@@ -23,6 +23,7 @@ from bench.simulation.flight.model_files import (
     NAME,
     copy_aircraft,
     copy_script,
+    count_engines,
     read_xml,
     write_xml,
 )
@@ -136,7 +137,7 @@ def _add_guidance(aircraft: AircraftSpec, model: ElementTree.Element) -> Element
 
     It has an output to the throttle of every engine.
     """
-    engines = sum(len(propulsion.findall("engine")) for propulsion in model.findall("propulsion"))
+    engines = count_engines(model)
     if not engines and not aircraft.glides:
         raise FlightError(
             f"aircraft {aircraft.name}: it has no engine to hold a speed with; is it of kind = {GLIDER!r}?"

@@ -198,6 +198,11 @@ def copy_script(path: Path, target: Path) -> ScriptFacts:
     return facts
 
 
+def count_engines(model: ElementTree.Element) -> int:
+    """Return the number of engines of a model."""
+    return sum(len(propulsion.findall("engine")) for propulsion in model.findall("propulsion"))
+
+
 def system_files(model: Path) -> set[str]:
     """Return the files of the systems a model names."""
     return {system.get("file", "") for system in read_xml(model, model.name).findall("system")}

@@ -5,9 +5,11 @@ JSBSim's own trim can hang and needs an engine; ours solves the six equations of
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -25,6 +27,7 @@ _LOW, _HIGH = np.array([-0.3, -0.3, -0.5, -1.0, -1.0, 0.0]), np.array([0.4, 0.3,
 _OWN_STARTS = ((0.05, 0.0, 0.6), (0.0, 0.0, 0.9), (0.0, 0.0, 0.6), (0.1, 0.0, 0.4), (0.1, 0.0, 0.9))
 _GLIDER_STARTS = ((0.05, 0.0, 1.0), (0.13, -0.15, 1.0), (-0.03, 0.0, 1.0))
 _GLIDE = -0.05  # angle of a glide, in place of the throttle: what 1 stands for in a search [rad]
+_STEEPEST = 6.0  # glide that is searched for in models of others, in _GLIDE
 _FOREIGN_STARTS = ((0.05, 0.0, 0.6), (0.1, -0.1, 0.8), (0.02, 0.1, 0.4))
 _ACTUATORS = 200  # steps for actuators to arrive: 0.5 s at 400 Hz
 _PARTS = 30.0  # until gear and flaps have moved [s]
@@ -128,6 +131,7 @@ def trim_aircraft(
     starts, settled, solve = _OWN if guided else FOREIGN
     if glides:
         starts = _GLIDER_STARTS
+        solve = solve if guided else partial(_fit_within_travel, last=_STEEPEST)
     if not guided:  # gear and flaps come to where they are asked to be
         place(fdm, condition, 0.0, 0.0, 0.0, 0.0, 0.0, 0.5)
         wait(fdm, round(_PARTS / fdm.get_delta_t()))
@@ -159,10 +163,12 @@ def find_root(f: Callable[[FloatArray], FloatArray], start: FloatArray) -> Float
     return x
 
 
-def _fit_within_travel(f: Callable[[FloatArray], FloatArray], start: FloatArray) -> FloatArray:
+def _fit_within_travel(
+    f: Callable[[FloatArray], FloatArray], start: FloatArray, last: float = 1.0
+) -> FloatArray:
     from scipy.optimize import least_squares
 
-    low, high = _LOW / _SCALE, _HIGH / _SCALE
+    low, high = _LOW / _SCALE, np.append(_HIGH[:-1], last) / _SCALE
 
     def differences(x: FloatArray) -> FloatArray:
         """Return finite-difference steps that actuators resolve, away from the nearer end of the travel."""
@@ -188,8 +194,15 @@ def move_surfaces(fdm: Any, aileron: float, elevator: float) -> None:
 
 
 def start_engines(fdm: Any) -> None:
-    """Start the engines."""
+    """Start the engines, which makes the mixture full rich, and lean it to what it was asked to be."""
+    find = fdm.get_property_manager().get_node
+    nodes = (find(f"fcs/mixture-cmd-norm[{n}]") for n in itertools.count())
+    mixtures = list(itertools.takewhile(bool, nodes))
+    asked = [node.get_double_value() for node in mixtures]
     fdm["propulsion/set-running"] = -1.0
+    for node, value in zip(mixtures, asked, strict=True):
+        if value > 0:  # else nobody asked
+            node.set_double_value(value)
     wait(fdm, 2)
 
 

@@ -7,6 +7,7 @@ damping, surface power, thrust) comes from differences of the model about its tr
 
 from __future__ import annotations
 
+import itertools
 import math
 import re
 from collections.abc import Iterator, Mapping
@@ -14,13 +15,14 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from bench.core.mathematics.arrays import FloatArray
-from bench.core.records.flight_specs import AircraftSpec, FlightSpec, Leg
+from bench.core.records.flight_specs import GLIDER, AircraftSpec, FlightSpec, Leg
 from bench.core.words.exceptions import FlightError
-from bench.simulation.flight.executive import find_property, load_aircraft
+from bench.simulation.flight.executive import load_aircraft
 from bench.simulation.flight.jsbsim_units import FT, POUND
 from bench.simulation.flight.legs.climbs import Climb, Descend
 from bench.simulation.flight.legs.level import SpeedChange, Straight
 from bench.simulation.flight.legs.turns import Turn
+from bench.simulation.flight.model_files import count_engines, read_xml
 from bench.simulation.flight.trimming import (
     Trim,
     TrimCondition,
@@ -36,6 +38,10 @@ _HEAVY = 6000.0  # [kg]
 _TURNS_BACK = 7.0  # time constant of the heading loop, which is airspeed over gravity and its gain [s]
 _ALTS = (1200.0, 3000.0)  # light, heavy [m]
 _DENSITIES = (1.09, 0.91)  # there [kg/m^3]
+_LEAN = 0.8  # mixture of the most power there, of a piston engine of JSBSim
+_NOSE = 1.4  # frequency of the sideslip of a glider, held by the rudder [rad/s]
+_TURNING = 30.0  # full circles last as long at least [s]
+_NO_THRUST = 0.1  # what full throttle adds where the engines pull nothing [m/s^2]
 _MISSING = re.compile(r"The property (\S+) does not exist")  # as JSBSim says it
 _MOST_STUBS = 20
 _SQUARE_FOOT, _G = 0.09290304, 9.81
@@ -68,16 +74,24 @@ class GainDesign:
 def prepare_aircraft(aircraft: AircraftSpec) -> AircraftSpec:
     """Return a foreign aircraft with its initial properties, and 0 for properties that it lacks.
 
+    What has no engine is a glider.
+
     Raises
     ------
     FlightError
         If it does not load, or no airspeed can be guessed: no design changes that.
     """
+    model = f"{aircraft.name}.xml"
+    if not count_engines(read_xml(aircraft.folder / model, model)):
+        aircraft = replace(aircraft, kind=GLIDER)
     stubs = find_stubs(aircraft)
     aircraft = set_properties(aircraft, {}, stubs)
     aircraft = set_properties(aircraft, _choose_properties(aircraft), stubs)
-    if not load_aircraft(aircraft, _DT)["metrics/Sw-sqft"] > 0:
+    fdm = load_aircraft(aircraft, _DT)
+    if not fdm["metrics/Sw-sqft"] > 0:
         raise FlightError(f"aircraft {aircraft.name}: it has no wing area to guess an airspeed from")
+    if not (fdm["metrics/bw-ft"] > 0 and fdm["metrics/cbarw-ft"] > 0):
+        raise FlightError(f"aircraft {aircraft.name}: it has no wing span or chord")
     return aircraft
 
 
@@ -108,9 +122,16 @@ def design_gains(aircraft: AircraftSpec, lift: float, pace: float, hold: float =
     area = fdm["metrics/Sw-sqft"] * _SQUARE_FOOT
     speed = round(math.sqrt(2 * mass * _G / (density * area * lift)), 0)
     condition = TrimCondition(math.radians(47.0), math.radians(11.0), alt, 0.5, speed)
-    trim = trim_aircraft(fdm, condition, guided=False)
-    found = _linearize(fdm, condition, trim)
-    gains, climb = place_loops(found, condition.speed, trim, pace)
+    glides = aircraft.glides
+    try:
+        trim = trim_aircraft(fdm, condition, guided=False, glides=glides)
+    except FlightError:
+        if not glides and (added := _measure_thrust(fdm, condition)) < _NO_THRUST:
+            reason = f"its engines do not pull: full throttle adds {added:.2f} m/s^2 at {speed:g} m/s"
+            raise FlightError(f"aircraft {aircraft.name}: {reason}") from None
+        raise
+    found = _linearize(fdm, condition, trim, glides=glides)
+    gains, climb = place_loops(found, condition.speed, trim, pace, glides=glides)
     gains["bank-integral-gain"] *= hold
     return GainDesign(alt, condition.speed, climb, mass, span, trim, gains, found)
 
@@ -140,17 +161,26 @@ def find_stubs(aircraft: AircraftSpec) -> tuple[str, ...]:
 
 def _choose_properties(aircraft: AircraftSpec) -> dict[str, float]:
     fdm = load_aircraft(aircraft, _DT)
-    chosen = {}
-    for name, value in _STARTS.items():
-        try:
-            find_property(fdm, name)
-        except FlightError:
-            continue
-        chosen[name] = value
+    manager = fdm.get_property_manager()
+    chosen = {name: value for name, value in _STARTS.items() if manager.get_node(name)}
+    if fdm["inertia/weight-lbs"] * POUND > _HEAVY:  # it flies high
+        pistons = itertools.count() if manager.get_node("propulsion/engine/map-inhg") else iter(())
+        numbered = (f"fcs/mixture-cmd-norm[{n}]" if n else "fcs/mixture-cmd-norm" for n in pistons)
+        chosen |= dict.fromkeys(itertools.takewhile(manager.get_node, numbered), _LEAN)
     return chosen
 
 
-def _linearize(fdm: Any, condition: TrimCondition, trim: Trim) -> dict[str, float]:
+def _measure_thrust(fdm: Any, condition: TrimCondition) -> float:
+    """Return what full throttle adds to the forward acceleration [m/s^2]."""
+    found = []
+    for throttle in (0.0, 1.0):
+        place(fdm, condition, 0.0, 0.0, 0.0, 0.0, 0.0, throttle)
+        run_engines(fdm)
+        found.append(float(present_accelerations(fdm)[0]))
+    return found[1] - found[0]
+
+
+def _linearize(fdm: Any, condition: TrimCondition, trim: Trim, *, glides: bool) -> dict[str, float]:
     """Differences about the trimmed flight, by name: control power, damping, stiffness, thrust."""
 
     def accelerations(
@@ -159,6 +189,7 @@ def _linearize(fdm: Any, condition: TrimCondition, trim: Trim) -> dict[str, floa
         rudder: float = 0.0,
         throttle: float = 0.0,
         alpha: float = 0.0,
+        beta: float = 0.0,
         rates: tuple[float, float, float] = (0.0, 0.0, 0.0),
     ) -> FloatArray:
         a, e = trim.aileron + aileron, trim.elevator + elevator
@@ -166,7 +197,7 @@ def _linearize(fdm: Any, condition: TrimCondition, trim: Trim) -> dict[str, floa
             fdm,
             condition,
             trim.alpha + alpha,
-            trim.beta,
+            trim.beta + beta,
             trim.roll,
             a,
             e,
@@ -176,12 +207,20 @@ def _linearize(fdm: Any, condition: TrimCondition, trim: Trim) -> dict[str, floa
         )
         fdm["fcs/rudder-cmd-norm"] = rudder
         move_surfaces(fdm, a, e)
-        run_engines(fdm)
+        if not glides:
+            run_engines(fdm)
         return present_accelerations(fdm)
 
     still = accelerations()
     step, turn = 0.05, 0.05
     push = 0.1 if trim.throttle < 0.85 else -0.1
+    last = {"thrust per throttle": float((accelerations(throttle=push) - still)[0] / push)}
+    if glides:
+        last = {
+            "yaw per aileron": float((accelerations(aileron=step) - still)[5] / step),
+            "yaw per sideslip": float((accelerations(beta=turn) - still)[5] / turn),
+            "yaw damping": float((accelerations(rates=(0.0, 0.0, turn)) - still)[5] / turn),
+        }
     return {
         "roll per aileron": float((accelerations(aileron=step) - still)[3] / step),
         "pitch per elevator": float((accelerations(elevator=step) - still)[4] / step),
@@ -189,36 +228,29 @@ def _linearize(fdm: Any, condition: TrimCondition, trim: Trim) -> dict[str, floa
         "roll damping": float((accelerations(rates=(turn, 0.0, 0.0)) - still)[3] / turn),
         "pitch damping": float((accelerations(rates=(0.0, turn, 0.0)) - still)[4] / turn),
         "pitch stiffness": float((accelerations(alpha=0.01) - still)[4] / 0.01),
-        "thrust per throttle": float((accelerations(throttle=push) - still)[0] / push),
+        **last,
         "dynamic pressure": float(fdm["aero/qbar-psf"]),
     }
 
 
 def place_loops(
-    found: Mapping[str, float], speed: float, trim: Trim, pace: float
+    found: Mapping[str, float], speed: float, trim: Trim, pace: float, *, glides: bool = False
 ) -> tuple[dict[str, float], float]:
-    """Return gains of guidance, and the vertical speed that thrust allows [m/s]."""
+    """Return gains of guidance, and the vertical speed that thrust allows [m/s].
+
+    A glider's airspeed follows its pitch as V' = -g theta, whatever its size. Its rudder takes the yaw of the
+    ailerons away, and makes its nose follow the air, well damped at 1.4 rad/s.
+    """
     aileron, damping = max(abs(found["roll per aileron"]), 0.05), found["roll damping"]
     elevator, stiffness = max(abs(found["pitch per elevator"]), 0.05), -found["pitch stiffness"]
-    thrust = max(found["thrust per throttle"], 0.2)
+    thrust, rudder = max(found.get("thrust per throttle", 0.0), 0.2), max(abs(found["yaw per rudder"]), 0.1)
     roll = min(max(1.2 * abs(damping), 2.0), 6.0)
     roll_gain = max(roll + damping, 0.3) / aileron
+    damped = aileron * roll_gain - damping  # the damping of the closed loop [1/s]
     pitch = max(1.5, min(3.0, 1.2 * math.sqrt(max(stiffness, 0.3))))
     pitch_gain = max(pitch + found["pitch damping"], 0.4 * pitch) / elevator
     climb = max(1.5, min(8.0, 0.5 * thrust * speed / _G * (1 - trim.throttle)))
-    return {
-        "qbar-ref-psf": found["dynamic pressure"],
-        "bank-lag-rad_sec": min(3.0, 0.5 * roll) * min(pace, 1.0),
-        "heading-gain": min(2.5, max(0.7, speed / (_G * _TURNS_BACK))) * pace,
-        "bank-gain": 0.22 * roll**2 / (aileron * roll_gain),  # 0.25: the poles of bank coincide
-        "roll-rate-gain": roll_gain,
-        "bank-rate-gain": roll_gain - damping / aileron,
-        "bank-integral-gain": 0.1 * roll_gain,
-        "yaw-rate-gain": 0.4 / max(abs(found["yaw per rudder"]), 0.1),
-        "pitch-lag-rad_sec": 1.5,
-        "pitch-gain": 0.5 * pitch,
-        "pitch-rate-gain": pitch_gain,
-        "pitch-integral-gain": 0.4 * pitch_gain * pitch,
+    held = {
         "altitude-gain": 0.1 * pace,
         "climb-gain": 0.7 * pace,
         "climb-integral-gain": 0.08 * pace,
@@ -228,18 +260,51 @@ def place_loops(
         "throttle-turn-gain": 0.0,
         "speed-gain": 0.15 / thrust,
         "speed-integral-gain": 0.012 / thrust,
+    }
+    if glides:
+        firm = max(2.5, 1.5 * math.sqrt(max(stiffness, 0.0)))  # beyond the stiffness [rad/s]
+        pitch_gain = max(1.6 * firm + found["pitch damping"], 0.4 * firm) / elevator
+        held = {
+            "pitch-gain": firm**2 / (elevator * pitch_gain),
+            "pitch-rate-gain": pitch_gain,
+            "pitch-integral-gain": 0.1 * firm**3 / elevator,
+            "glide-gain": 0.3 * pace / _G,
+            "glide-integral-gain": 0.05 * pace / _G,
+            "rudder-aileron-gain": max(-found["yaw per aileron"], 0.0) / rudder,
+            "sideslip-gain": max(_NOSE**2 - found["yaw per sideslip"], 0.0) / rudder,
+            "yaw-rate-gain": max(1.4 * _NOSE + found["yaw damping"], 0.4) / rudder,
+        }
+    return {
+        "qbar-ref-psf": found["dynamic pressure"],
+        "bank-lag-rad_sec": min(3.0, 0.5 * roll) * min(pace, 1.0),
+        "heading-gain": min(2.5, max(0.7, speed / (_G * _TURNS_BACK))) * pace,
+        "bank-gain": 0.22 * damped * min(damped, 10.0) / (aileron * roll_gain),  # 0.25: the poles coincide
+        "roll-rate-gain": roll_gain,
+        "bank-rate-gain": roll_gain - damping / aileron,
+        "bank-integral-gain": 0.1 * roll_gain,
+        "yaw-rate-gain": 0.4 / rudder,
+        "pitch-lag-rad_sec": 1.5,
+        "pitch-gain": 0.5 * pitch,
+        "pitch-rate-gain": pitch_gain,
+        "pitch-integral-gain": 0.4 * pitch_gain * pitch,
+        **held,
     }, climb
 
 
-def acceptance_legs(design: GainDesign) -> tuple[Leg, ...]:
-    """Return the legs of the acceptance flight: straight, a full circle, up, down, faster, straight."""
+def acceptance_legs(design: GainDesign, *, glides: bool = False) -> tuple[Leg, ...]:
+    """Return the legs of the acceptance flight: straight, full circles, up, down, faster, straight.
+
+    A glider circles to the other side where others climb and descend.
+    """
     rate = 0.6 * design.climb
+    circle = 2 * math.pi * design.speed / (_G * math.tan(BANK))  # [s]
+    circles = 2 * math.pi * math.ceil(_TURNING / circle)
+    up_and_down: tuple[Leg, ...] = (Climb(design.alt + RISE, rate), Descend(design.alt, rate))
     return (
         Straight(30.0),
-        Turn(by=2 * math.pi, bank=BANK),
+        Turn(by=circles, bank=BANK),
         Straight(20.0),
-        Climb(design.alt + RISE, rate),
-        Descend(design.alt, rate),
+        *((Turn(by=-circles, bank=BANK), Straight(20.0)) if glides else up_and_down),
         SpeedChange(FASTER * design.speed),
         Straight(30.0),
     )
@@ -259,11 +324,14 @@ def plan_acceptance(aircraft: AircraftSpec, design: GainDesign) -> FlightSpec:
         wind_speed=0.0,
         severity=0,
         turbulence_seed=0,
-        legs=acceptance_legs(design),
+        legs=acceptance_legs(design, glides=aircraft.glides),
         duration=None,
     )
 
 
-def attempts() -> Iterator[tuple[float, ...]]:
+def attempts(*, glides: bool = False) -> Iterator[tuple[float, ...]]:
     """Yield lift coefficients, paces and holds of `design_gains` in the order they are tried."""
+    if glides:
+        yield from ((0.7, 1.0), (0.9, 1.0), (0.55, 1.0), (0.4, 1.0), (0.7, 0.6), (0.7, 1.0, 5.0))
+        return
     yield from ((0.4, 1.0), (0.3, 1.0), (0.55, 1.0), (0.3, 0.6), (0.2, 1.0), (0.15, 1.0), (0.3, 1.0, 5.0))
