@@ -15,6 +15,7 @@ from bench.cli.command_line import main
 from bench.cli.new_files import new_aircraft
 from bench.cli.new_files.new_aircraft import BANK_BAND, equip, measure_acceptance
 from bench.core.mathematics import rotation
+from bench.core.mathematics.rotation import to_euler
 from bench.core.records.data import Events
 from bench.core.words.exceptions import FlightError
 from bench.io.config import read_profile
@@ -22,6 +23,7 @@ from bench.io.config.library import read_jsbsim_aircraft
 from bench.io.config.listing import PROFILES
 from bench.simulation.flight import fly
 from bench.simulation.flight.executive import load_aircraft
+from bench.simulation.flight.guidance import gain_design
 from bench.simulation.flight.guidance.gain_design import (
     BANK,
     attempts,
@@ -39,6 +41,7 @@ from bench.simulation.flight.trimming import (
     place,
     present_accelerations,
     run_engines,
+    start_engines,
     trim_aircraft,
 )
 from tests.flight.plans import fly_here
@@ -64,6 +67,86 @@ def test_the_roll_loops_have_the_poles_they_are_placed_at():
     poles = np.linalg.eigvals([[0.0, 1.0], [-8.0 * k * b, -2.5 - 8.0 * k]])
     assert_allclose(np.sort(poles.real), [-2.02, -0.98], atol=0.01)
     assert_allclose(poles.imag, 0.0, atol=1e-9)
+
+
+def test_the_loops_of_a_glider_have_the_poles_they_are_placed_at():
+    """q' = M_q q + M_e k (b e - q); r' = N_b beta + N_r r + rudder, beta' = -r; V' = -g theta."""
+    found = {
+        **FOUND,
+        "yaw per aileron": -0.6,
+        "yaw per sideslip": 0.5,
+        "yaw damping": -0.3,
+        "pitch damping": -1.0,
+    }
+    gains, _ = place_loops(found, 25.0, TRIM, 1.0, glides=True)
+    k, b = gains["pitch-rate-gain"], gains["pitch-gain"]
+    w = 1.5 * np.sqrt(4.0)
+    assert_allclose(np.poly([[0.0, 1.0], [-6.0 * k * b, -1.0 - 6.0 * k]]), [1.0, 1.6 * w, w**2])
+    side, rate = gains["sideslip-gain"], gains["yaw-rate-gain"]
+    nose = [[0.0, -1.0], [0.5 + 2.0 * side, -0.3 - 2.0 * rate]]
+    assert_allclose(np.poly(nose), [1.0, 1.4 * 1.4, 1.4**2])
+    assert_allclose(-0.6 + 2.0 * gains["rudder-aileron-gain"], 0.0, atol=1e-12)
+    p, i = 9.81 * gains["glide-gain"], 9.81 * gains["glide-integral-gain"]
+    assert_allclose(np.roots([1.0, p, i]).real, -0.15, atol=1e-9)
+    assert not {"climb-gain", "speed-gain"} & set(gains)
+
+
+@pytest.mark.parametrize("damping", [-2.5, -28.0])
+def test_bank_follows_as_fast_whatever_the_wing_damps(damping):
+    """The slow pole of bank is between 0.6 and 3.3 rad/s, though a light wing rolls at 28 rad/s."""
+    gains, _ = place_loops({**FOUND, "roll damping": damping}, 60.0, TRIM, 1.0)
+    k, b = gains["roll-rate-gain"], gains["bank-gain"]
+    slow = np.linalg.eigvals([[0.0, 1.0], [-8.0 * k * b, damping - 8.0 * k]]).real.max()
+    assert -3.3 < slow < -0.6
+
+
+def test_a_mixture_that_was_asked_for_survives_the_start_of_the_engine():
+    """JSBSim makes it full rich; what nobody asked for stays so."""
+    fdm = load_aircraft(set_properties(bare("c172p"), {"fcs/mixture-cmd-norm": 0.8}, ()), 0.0025)
+    start_engines(fdm)
+    assert fdm["fcs/mixture-cmd-norm"] == 0.8
+    fdm["fcs/mixture-cmd-norm"] = 0.0
+    start_engines(fdm)
+    assert fdm["fcs/mixture-cmd-norm"] == 1.0
+
+
+@pytest.mark.parametrize(("name", "pulls"), [("C130", False), ("c172p", True)])
+def test_engines_that_do_not_pull_are_the_reason(monkeypatch, name, pulls):
+    """The turbines of the C130 give a thrust to propellers that expect a power."""
+
+    def find_none(*_, **__):
+        raise FlightError("no steady flight found")
+
+    monkeypatch.setattr(gain_design, "trim_aircraft", find_none)
+    reason = (
+        "no steady flight"
+        if pulls
+        else r"its engines do not pull: full throttle adds 0\.0\d m/s\^2 at 97 m/s"
+    )
+    with pytest.raises(FlightError, match=reason):
+        design_gains(prepare_aircraft(bare(name)), 0.4, 1.0)
+
+
+def test_a_glider_circles_both_ways_and_is_not_asked_for_height():
+    edges = (0.0, 30.0, 110.0, 130.0, 150.0, 170.0, 190.0, 240.0)
+    truth = flown()
+    both = to_euler(truth.q_nb)[0] - BANK * ((truth.t > edges[3]) & (truth.t < edges[4]))
+    truth.q_nb = rotation.from_euler(both, 0 * truth.t, 0 * truth.t)
+    truth.lla[:, 2] -= truth.t
+    assert measure_acceptance(truth, DESIGN, glides=True).failures() == []
+    assert [words[:6] for words in measure_acceptance(truth, DESIGN).failures()] == ["height"]
+    wrong = flown()  # straight where it circles to the left
+    assert [words[:4] for words in measure_acceptance(wrong, DESIGN, glides=True).failures()] == ["bank"]
+
+
+@pytest.mark.slow
+def test_a_glider_of_the_wheel_gets_gains_and_flies_with_them(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["new", "aircraft", "jsbsim:SGS"]) == 0
+    assert "bank within" in capsys.readouterr().out
+    glider = read_jsbsim_aircraft("jsbsim:SGS", None, tmp_path)
+    assert glider.glides
+    assert glider.min_speed < glider.trims[0][1] < glider.max_speed
 
 
 def flown(seconds=240.0, **wrong):
