@@ -19,12 +19,13 @@ def make_row(name: str) -> str:
     """The row of the guide, or the reason."""
     raw, _, _ = find_shipped(name)
     try:
-        design, accepted, _ = find_design(raw)
+        design, accepted, flown = find_design(raw)
     except FlightError as error:
         return f"not accepted: {error}"
+    height = "" if flown.glides else f"{accepted.height:.1f} m"
     return (
         f"| `{name}` | {design.speed:.0f} m/s, {design.alt:.0f} m | {math.degrees(accepted.bank):.1f} deg | "
-        f"{accepted.height:.1f} m | {100 * accepted.speed:.1f} % | {accepted.describe_load()} |"
+        f"{height} | {100 * accepted.speed:.1f} % | {accepted.describe_load()} |"
     )
 
 

@@ -249,6 +249,7 @@ def place_loops(
     damped = aileron * roll_gain - damping  # the damping of the closed loop [1/s]
     pitch = max(1.5, min(3.0, 1.2 * math.sqrt(max(stiffness, 0.3))))
     pitch_gain = max(pitch + found["pitch damping"], 0.4 * pitch) / elevator
+    usual = speed / (_G * _TURNS_BACK)
     climb = max(1.5, min(8.0, 0.5 * thrust * speed / _G * (1 - trim.throttle)))
     held = {
         "altitude-gain": 0.1 * pace,
@@ -277,7 +278,7 @@ def place_loops(
     return {
         "qbar-ref-psf": found["dynamic pressure"],
         "bank-lag-rad_sec": min(3.0, 0.5 * roll) * min(pace, 1.0),
-        "heading-gain": min(2.5, max(0.7, speed / (_G * _TURNS_BACK))) * pace,
+        "heading-gain": min(2.5, max(min(0.7, 2 * usual), usual)) * pace,
         "bank-gain": 0.22 * damped * min(damped, 10.0) / (aileron * roll_gain),  # 0.25: the poles coincide
         "roll-rate-gain": roll_gain,
         "bank-rate-gain": roll_gain - damping / aileron,
