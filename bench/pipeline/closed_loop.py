@@ -374,4 +374,5 @@ def cut_truth(truth: Trajectory, seconds: float) -> Iterator[Trajectory]:
         steps = {name: getattr(truth, name)[first:last] for name in ("dtheta_b", "dvel_b")}
         parts = {part: take_rows(getattr(truth, part), slice(begun, end)) for part in ("air", "controls")}
         begun = end
-        yield Trajectory(**shared, **steps, **parts, events=Events.from_rows([]))
+        rotors = take_rows(truth.rotors, slice(first, last + 1))
+        yield Trajectory(**shared, **steps, **parts, events=Events.from_rows([]), rotors=rotors)

@@ -17,6 +17,7 @@ import numpy as np
 from bench.core.mathematics.arrays import BoolArray, FloatArray, IntArray
 from bench.core.records.fields import NED, Rebuilt, Record, column, declared, freeze_field, matrix, vector
 from bench.core.records.instruments import InstrumentReports
+from bench.core.records.rotors import Rotors, no_rotors
 from bench.core.records.sensor_specs import DEFAULT_DATE, AssumedSpecs
 
 LLA = ("lat_rad", "lon_rad", "alt_m")
@@ -92,8 +93,7 @@ class AirData(Record):
     airspeed_calibrated: FloatArray = column("airspeed_calibrated_mps")  # (A,) [m/s]
     alpha: FloatArray = column("alpha_rad")  # (A,) angle of attack [rad]
     beta: FloatArray = column("beta_rad")  # (A,) sideslip [rad]
-    # (A, 3) velocity of the air mass, with turbulence [m/s], n
-    wind_n: FloatArray = vector("wind", "mps", "n")
+    wind_n: FloatArray = vector("wind", "mps", "n")  # (A, 3) of the air mass, with turbulence [m/s], n
     engine_speed: FloatArray = column("engine_speed_rad_s")  # (A,) [rad/s]
 
     def __post_init__(self) -> None:
@@ -152,6 +152,8 @@ class Trajectory(Record):
         Control surfaces and throttle.
     events : Events
         Legs, wind changes and others.
+    rotors : Rotors
+        Speeds of the rotors of a multirotor at each time; otherwise without rows.
 
     Examples
     --------
@@ -170,11 +172,14 @@ class Trajectory(Record):
     air: AirData
     controls: Controls
     events: Events
+    rotors: Rotors = field(default_factory=no_rotors)
 
     def __post_init__(self) -> None:
         between = (len(self.t) - 1, 3)
         self._freeze(finite=True, besides={"dtheta_b": between, "dvel_b": between})
         _check_increasing("Trajectory.t", self.t)
+        if len(self.rotors) not in (0, len(self.t)):
+            raise ValueError(f"Trajectory.rotors: {len(self.rotors)} rows for {len(self.t)} times")
 
 
 @declared
@@ -358,8 +363,7 @@ class Innovations(Record):
 
     t: FloatArray = column("t_s")  # (K,) [s]
     sensor: tuple[str, ...]  # names; ``code`` is the index
-    # (K,) index into sensor: "gnss_position", "gnss_velocity", "baro"
-    code: IntArray = column("sensor", kind=int)
+    code: IntArray = column("sensor", kind=int)  # (K,) index into sensor: "gnss_position", "baro" ...
     component: IntArray = column("component", frame="n", kind=int)  # (K,) 0, 1, 2 along n
     z: FloatArray = column("z", units=("of the sensor",), frame="n")  # (K,) [unit of the sensor]
     S: FloatArray = column("S", units=("of the sensor, squared",), frame="n")  # (K,) predicted variance of z

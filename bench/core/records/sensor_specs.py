@@ -176,6 +176,39 @@ class VibrationSpec:
     """Frequency of that mode [Hz]."""
     mode_damping: float = figure("", 0, 1, default=0.0)
     """Damping of that mode, over critical damping [1]."""
+    rotor_accel_1: float = figure("mg", default=0.0)
+    """Unbalance of each rotor of a multirotor, rms along x and y at the reference speed [m/s^2]."""
+    rotor_accel_2: float = figure("mg", default=0.0)
+    """Blades passing, twice per revolution of each rotor, rms along z at the reference speed [m/s^2]."""
+    rotor_accel_4: float = figure("mg", default=0.0)
+    """The same four times per revolution [m/s^2]."""
+    rotor_reference: float = figure("rpm", default=0.0)
+    """Reference speed of the rotors; the vibration grows with the square of the speed [rad/s]."""
+    rotor_forward: float = figure("m", 0, 100, default=0.0)
+    """Distance of the rotors ahead of and behind the center of gravity [m]; 0: as the aircraft has it."""
+    rotor_right: float = figure("m", 0, 100, default=0.0)
+    """The same to the right and left [m]; 0: as the aircraft has it."""
+    rotor_up: float = figure("m", -100, 100, default=0.0)
+    """Height of the rotors above the center of gravity [m]."""
+    gyration_x: float = figure("m", 0, 100, default=0.0)
+    """Radius of gyration about x, the root of inertia over mass [m]; 0: as the aircraft has it."""
+    gyration_y: float = figure("m", 0, 100, default=0.0)
+    """The same about y [m]; 0: as the aircraft has it."""
+    gyration_z: float = figure("m", 0, 100, default=0.0)
+    """The same about z [m]; 0: as the aircraft has it."""
+    imu_forward: float = figure("m", -100, 100, default=0.0)
+    """Position of the IMU ahead of the center of gravity, where rotors shake it [m]."""
+    imu_right: float = figure("m", -100, 100, default=0.0)
+    """The same to the right [m]."""
+    imu_down: float = figure("m", -100, 100, default=0.0)
+    """The same downwards [m]."""
+    inner_rate: float = figure("hz", 0, 64000, default=0.0)
+    """Rate at which the IMU samples vibration by rotors and sums it to its output [Hz]; 0: the output rate."""
+
+    @property
+    def by_rotors(self) -> bool:
+        """Return whether rotors shake the IMU."""
+        return max(self.rotor_accel_1, self.rotor_accel_2, self.rotor_accel_4) > 0
 
 
 @dataclass(frozen=True, slots=True)

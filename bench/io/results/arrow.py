@@ -24,7 +24,7 @@ def to_arrow(result: RunResult, record: str, estimator: str | None = None) -> pa
     result : RunResult
         Result from `bench.run`, `bench.navigate` or `bench.read_result`.
     record : str
-        "errors", "solutions" or "innovations" of the filters; "truth", "air" or "controls" of the flight;
+        "errors", "solutions" or "innovations" of the filters; "truth", "air", "controls" or "rotors" of the flight;
         "imu", "gnss", "observations", "baro" ... of the sensors; "drawn", the true sensor errors; "sky";
         "events".
     estimator : str, optional
@@ -102,6 +102,7 @@ def _list_records(result: RunResult) -> dict[str, object]:
     found: dict[str, object] = {"events": result.events}
     if (truth := result.truth) is not None:
         found |= {"truth": truth, "air": truth.air, "controls": truth.controls}
+        found |= {"rotors": truth.rotors} if len(truth.rotors) else {}
     if (sensed := result.sensed) is not None:
         found |= {"imu": sensed.data.imu, **list_aiding(sensed.data), "drawn": sensed.truth}
         found |= {"sky": sensed.sky} if sensed.sky is not None else {}

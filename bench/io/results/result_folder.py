@@ -28,6 +28,7 @@ from bench.core.records.data import (
 )
 from bench.core.records.fields import columns_of
 from bench.core.records.instruments import INSTRUMENTS, InstrumentData
+from bench.core.records.rotors import Rotors, no_rotors
 from bench.core.records.run_records import (
     ErrorSeries,
     OffPath,
@@ -84,7 +85,7 @@ def save(folder: Path, result: RunResult) -> None:
     data, truth = sensed.data, result.truth
     if truth is not None:
         parquet.write(folder / TRUTH, truth)
-        for name in ("air", "controls", "events"):
+        for name in ("air", "controls", "events", *(["rotors"] if len(truth.rotors) else [])):
             parquet.write(folder / f"truth-{name}.parquet", getattr(truth, name))
         parquet.write(folder / DRAWN, sensed.truth)
     for name, record in list_aiding(data).items():
@@ -259,6 +260,7 @@ def load_truth(folder: str | os.PathLike[str]) -> Trajectory:
         air=_load(folder / "truth-air.parquet", AirData),
         controls=_load(folder / "truth-controls.parquet", Controls),
         events=_load(folder / "truth-events.parquet", Events),
+        rotors=_load(rotors, Rotors) if (rotors := folder / "truth-rotors.parquet").exists() else no_rotors(),
     )
 
 

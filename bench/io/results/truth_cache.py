@@ -25,6 +25,7 @@ from bench.core.files.places import cache_folder, locate_source
 from bench.core.files.scratch import LOCK, make_scratch
 from bench.core.records.data import AirData, Controls, Events, Trajectory
 from bench.core.records.flight_specs import Flight, FlightSpec, ScriptSpec
+from bench.core.records.rotors import Rotors
 from bench.io.results.cache_size import hold_entry, read_hashed, read_limit, trim_cache, write_hashed
 from bench.io.results.provenance import list_versions
 
@@ -33,11 +34,11 @@ _LOG = logging.getLogger(__name__)
 
 _INDEX = "index.json"  # SHA-256 of every other file of an entry
 _TEXTS = "texts.json"
-_PARTS = ("air", "controls", "events")
+_PARTS = ("air", "controls", "events", "rotors")
 _EVENT_TEXTS = ("kind", "text", "sensor")
 PIECE = 6000  # samples of truth read at a time: 30 s at 200 Hz
 _Array = np.ndarray[Any, Any]
-SHARED = ("t", "lla", "vel_n", "q_nb")
+SHARED = ("t", "lla", "vel_n", "q_nb", "rotors.t", "rotors.speed")
 """Columns in which a piece repeats the last row of the piece before."""
 
 SOURCES = (
@@ -58,6 +59,7 @@ SOURCES = (
     "bench/core/mathematics/arrays.py",
     "bench/core/records/data.py",
     "bench/core/records/flight_specs.py",
+    "bench/core/records/rotors.py",
     "bench/core/mathematics/random_streams.py",
 )
 """Files and folders that truth depends on."""
@@ -224,8 +226,8 @@ def _make_trajectory(arrays: Mapping[str, _Array], texts: Mapping[str, Sequence[
         rows[part][name] = array
     rows["events"].update({name: tuple(texts[name]) for name in _EVENT_TEXTS})
     events = Events(**rows["events"])
-    air, controls = AirData(**rows["air"]), Controls(**rows["controls"])
-    return Trajectory(**rows[""], air=air, controls=controls, events=events)
+    air, controls, rotors = AirData(**rows["air"]), Controls(**rows["controls"]), Rotors(**rows["rotors"])
+    return Trajectory(**rows[""], air=air, controls=controls, events=events, rotors=rotors)
 
 
 def join_pieces(pieces: Iterable[Trajectory]) -> Trajectory:
@@ -364,7 +366,8 @@ def _read_pieces(entry: Path) -> Iterator[Trajectory]:
         arrays = {}
         for name in names:
             part = name.rpartition(".")[0]
-            rows = slice(used[part], ready[part]) if part else slice(start, stop + (name in SHARED))
+            own = part and name not in SHARED
+            rows = slice(used[part], ready[part]) if own else slice(start, stop + (name in SHARED))
             arrays[name] = np.array(_map_column(entry, name)[rows])
         used = ready
         yield _make_trajectory(arrays, texts if stop == end else dict.fromkeys(_EVENT_TEXTS, ()))

@@ -26,6 +26,7 @@ from bench.core.mathematics.arrays import FloatArray, split_last
 from bench.core.mathematics.earth import matrix_en, to_geodetic
 from bench.core.mathematics.rotation import conjugate, continuous, from_matrix, multiply, rotate
 from bench.core.records.data import EventRow
+from bench.core.records.rotors import ROTORS
 from bench.core.words.exceptions import FlightError
 from bench.simulation.flight.executive import find_property
 from bench.simulation.flight.guidance.shaping import GUIDANCE_RATE
@@ -45,6 +46,7 @@ _MOTION = (  # per step
     "position/epa-rad",
 )
 _CENTER = tuple(f"inertia/cg-{axis}-in" for axis in "xyz")
+_ROTORS = tuple(f"rotor/speed{k}-rad_sec" for k in range(len(ROTORS)))
 _AIR = (  # at 20 Hz, with the factor to SI
     ("atmosphere/P-psf", PSF),
     ("atmosphere/T-R", RANKINE),
@@ -118,7 +120,7 @@ class StateLog:
         foreign = (*_AIR, (engine, RPM), *_SURFACES, ("fcs/throttle-cmd-norm", 1.0))
         own = _UNPOWERED if glides else _OWN
         slow = (*(own if guided else foreign), *_GROUND)
-        names = _MOTION if guided else (*_MOTION, *_CENTER)
+        names = (*_MOTION, *(_ROTORS if hovers else ())) if guided else (*_MOTION, *_CENTER)
         self.dt, self.per_tick = dt, round(1.0 / (GUIDANCE_RATE * dt))
         self._what, self._imu_b, self._guided, self._hovers = what, imu_b, guided, hovers
         self._read_state = [read(name) for name in names]
@@ -192,13 +194,14 @@ class StateLog:
         states = self._table(self._given, self._given + before + 1 + steps)
         slow = np.array(self._slow[:slow_end]).reshape(-1, len(self._read_slow)) * self._units
         motion = self._motion_of_imu(states, before)
+        rotors = states[max(0, before - 1) :, len(_MOTION) :] if self._hovers else None
         self._given += len(states) - 2 * NEIGHBORS - 1
         if 2 * self._given > self.count_steps():
             del self._states[: self._given * len(self._read_state)]
             self._given = 0
         del self._slow[:slow_end]
         self._begun += ticks or 0
-        return Stretch(begun * self.per_tick, motion, slow[:, :14], slow[:, 14:])
+        return Stretch(begun * self.per_tick, motion, slow[:, :14], slow[:, 14:], rotors=rotors)
 
     def _table(self, first: int, end: int) -> FloatArray:
         columns = len(self._read_state)

@@ -9,6 +9,7 @@ import numpy as np
 
 from bench.core.mathematics.arrays import FloatArray
 from bench.core.records.data import AirData, Controls, EventRow, Events, Trajectory
+from bench.core.records.rotors import Rotors, no_rotors
 from bench.simulation.flight.guidance.shaping import GUIDANCE_RATE
 from bench.simulation.flight.increments import Motion, earth_relative, step_increments, true_integrals
 
@@ -29,6 +30,7 @@ class Stretch:
     air: FloatArray  # (A, 14): the columns of AirData and Controls but t
     ground: FloatArray  # (A, 4): height above it [m], sink rate [m/s], wheels touch, others touch
     events: list[EventRow] | None = None  # of the whole flight, with its last segment
+    rotors: FloatArray | None = None  # (K, 4): speed of each rotor at the rows of the motion [rad/s]
 
     @property
     def before(self) -> int:
@@ -88,5 +90,6 @@ def make_truth(stretches: Iterable[Stretch], rate: float) -> Iterator[Trajectory
             air=AirData(t_air[known], pressure, temperature, true, calibrated, attack, slip, wind_n, engine),
             controls=Controls(t_air[known], *columns[10:]),
             events=Events.from_rows(stretch.events or []),
+            rotors=no_rotors() if stretch.rotors is None else Rotors(t, stretch.rotors[at]),
         )
         q_nb = q_nb[-1]

@@ -1,6 +1,6 @@
 """Simulation of an IMU: measured increments from the exact increments of the truth.
 
-For each triad: motion at the sensors and their response (`imu_terms.apply_response`), then
+For each triad: motion at the sensors and their response (`motion_response.respond`), then
 ``(I + M) increment + bias dt + white noise`` and the errors of `imu_terms.draw_motion_errors` (A-5.1.8),
 clipping to the range, then quantization with the remainder carried to the next sample. M holds scale factor
 errors on its diagonal and misalignments off it. Every random term has its own stream, ``imu.<triad>.<term>``;
@@ -18,7 +18,7 @@ from bench.core.files import disk_arrays
 from bench.core.mathematics.arrays import BoolArray, FloatArray, IntArray
 from bench.core.records.data import ImuData, Trajectory
 from bench.core.records.sensor_specs import ImuSpec, TriadSpec
-from bench.simulation.sensors import imu_terms, vibration
+from bench.simulation.sensors import imu_terms, motion_response
 from bench.simulation.sensors.draws import SensorDraws
 from bench.simulation.sensors.processes import choose_bias_stages
 
@@ -107,41 +107,34 @@ def measure(truth: Trajectory, spec: ImuSpec, draws: SensorDraws) -> tuple[ImuDa
     t = truth.t
     dt = disk_arrays.empty(len(t) - 1)
     np.subtract(t[1:], t[:-1], out=dt)
-    dtheta_b, dvel_b = vibration.shake(truth, spec.vibration, draws.part("vibration"))
-    force, N = dvel_b, None
-    if spec.accel_cone > 0 or spec.accel_arms:
-        N = imu_terms.cone_axes(spec.accel_cone) if spec.accel_cone > 0 else np.eye(3)
-        arms = np.array(spec.accel_arms) if spec.accel_arms else None
-        force = imu_terms.resolve_along_axes(dtheta_b, dvel_b, dt, arms, N, draws)
+    valid = np.ones(len(t) - 1, bool)
+    responses = motion_response.respond(truth, spec, draws, valid)
     slow_rows = select_knots(t, BIAS_STEP)
     warmth = np.empty(0)  # above the reference temperature [K]
     if max(spec.gyro.temperature_sd, spec.accel.temperature_sd) > 0:
         before = draws.keep("temperature", list[float])
         warmth = imu_terms.compute_temperature(truth, slow_rows, spec.thermal, before)
         warmth = warmth - spec.thermal.reference
-    valid = np.ones(len(t) - 1, bool)
     measured, biases = [], []
-    for part, motion, triad in (("gyro", dtheta_b, spec.gyro), ("accel", force, spec.accel)):
-        increment, bias = _measure_triad(t, motion, dvel_b, triad, slow_rows, warmth, draws.part(part), valid)
+    for part, response, triad in zip(("gyro", "accel"), responses, (spec.gyro, spec.accel), strict=True):
+        increment, bias = _measure_triad(t, response, triad, slow_rows, warmth, draws.part(part), valid)
         measured.append(increment)
         biases.append(bias)
     if spec.accel_cone > 0:
-        assert N is not None  # by the line that made it
-        back: FloatArray = np.linalg.inv(N).astype(float)
+        back: FloatArray = np.linalg.inv(imu_terms.cone_axes(spec.accel_cone)).astype(float)
         measured[1], biases[1] = (imu_terms.rotate_rows(back, rows) for rows in (measured[1], biases[1]))
     imu = ImuData(t=t[1:], dt=dt, valid=valid, dtheta_b=measured[0], dvel_b=measured[1])
     return imu, ImuBias(t[slow_rows], biases[0], biases[1])
 
 
 def _measure_triad(
-    t: FloatArray, motion: FloatArray, dvel_b: FloatArray, spec: TriadSpec,
+    t: FloatArray, response: motion_response.Response, spec: TriadSpec,
     slow_rows: IntArray, warmth: FloatArray, draws: SensorDraws, valid: BoolArray,
 ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
     """Return the measured increments (N-1, 3) and the bias at ``slow_rows``; clear ``valid`` if clipped."""
     M = draws.keep("M", lambda: draw_matrix(spec, draws))
     knots, bias = draw_bias(t, spec, slow_rows, warmth, draws)
-    increment = imu_terms.apply_response(t, motion, spec, draws)
-    motion_errors = imu_terms.draw_motion_errors(t, increment, dvel_b, spec, draws)
+    increment, motion_errors = response
     out, rest = disk_arrays.empty(increment.shape), draws.keep("rest", lambda: np.zeros(3))
     noise = draws.stream("white") if spec.random_walk > 0 else None
     memory = np.empty((0 if noise is None else min(len(out), disk_arrays.ROWS), 3))

@@ -14,7 +14,7 @@ from bench.core.compilation.compiled import kernel
 from bench.core.files import disk_arrays
 from bench.core.mathematics.arrays import FloatArray, IntArray
 from bench.core.records.data import Trajectory
-from bench.core.records.sensor_specs import ImuSpec, ThermalSpec, TriadSpec
+from bench.core.records.sensor_specs import ImuSpec, ThermalSpec, TriadSpec, VibrationSpec
 from bench.simulation.sensors.draws import SensorDraws
 from bench.simulation.sensors.processes import apply_lag
 from bench.simulation.signals.air import TOP, standard_atmosphere, to_geopotential
@@ -48,7 +48,19 @@ def check_imu(spec: ImuSpec) -> list[str]:
             wrong.append("[vibration] shaking by gusts needs mode_frequency_hz above 0 Hz")
         if not 0 < shaken.mode_damping < 1:
             wrong.append("[vibration] shaking by gusts needs mode_damping above 0 and below 1")
-    return wrong
+    return wrong + _check_rotors(shaken)
+
+
+def _check_rotors(spec: VibrationSpec) -> list[str]:
+    if not spec.by_rotors:
+        return ["[vibration] inner_rate_hz has no effect without rotor_accel_*_mg"] if spec.inner_rate else []
+    needed = {
+        "rotor_reference_rpm": spec.rotor_reference,
+        **{f"{name}_m": getattr(spec, name) for name in ("rotor_forward", "rotor_right")},
+        **{f"gyration_{axis}_m": getattr(spec, f"gyration_{axis}") for axis in "xyz"},
+    }
+    missing = [key for key, value in needed.items() if value <= 0]
+    return [f"[vibration] vibration by rotors needs {', '.join(missing)} above 0"] if missing else []
 
 
 # --- positions and axes of the sensors ------------------------------------------------------------------

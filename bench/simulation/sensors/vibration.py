@@ -1,4 +1,4 @@
-"""Vibration at the IMU: by the engine, and by a structural mode that gusts excite.
+"""Vibration at the IMU: by the engine, by a structural mode that gusts excite, and by rotors.
 
 It is motion and not an error of a sensor, so bandwidth, range and nonlinear errors act on it. It is not
 part of the truth, because its velocity and angle stay bounded.
@@ -15,12 +15,27 @@ from bench.core.records.data import AirData, Trajectory
 from bench.core.records.sensor_specs import VibrationSpec
 from bench.simulation.sensors.draws import SensorDraws
 from bench.simulation.sensors.imu_terms import compute_oscillator_step
+from bench.simulation.sensors.rotor_vibration import RotorTones
 
 _WINDOW = 10.0  # a gust is the deviation of the wind from its mean over this time [s]
 
 
 def shake(truth: Trajectory, spec: VibrationSpec, draws: SensorDraws) -> tuple[FloatArray, FloatArray]:
     """Add vibration to the true increments; return dtheta_b (K, 3) [rad] and dvel_b (K, 3) [m/s], b.
+
+    Vibration by rotors is that of an IMU that measures a sample as a whole. Parameters and errors: see
+    `shake_by_engine` and `rotor_vibration.RotorTones`.
+    """
+    shaken = shake_by_engine(truth, spec, draws)
+    if not spec.by_rotors:
+        return shaken
+    return RotorTones(truth, spec, draws).add(slice(0, len(truth.t) - 1), *shaken, 1)
+
+
+def shake_by_engine(
+    truth: Trajectory, spec: VibrationSpec, draws: SensorDraws
+) -> tuple[FloatArray, FloatArray]:
+    """Add vibration by the engine and by gusts to the true increments; return dtheta_b and dvel_b (K, 3).
 
     Parameters
     ----------
