@@ -1,4 +1,4 @@
-"""The rotors of a multirotor: four in an X, with the order and the senses of aircraft/systems/multirotor.xml."""
+"""The rotors of a multirotor: four in an X, in the order of aircraft/systems/multirotor.xml."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Rotors(Record):
     """Speeds of the rotors at the times of the truth; without rows if there are none."""
 
     t: FloatArray = column("t_s")  # (N,) [s]
-    # (N, 4) speed of each rotor [rad/s]
+    # (N, 4) [rad/s]
     speed: FloatArray = column(*(f"rotor_speed_{place}_rad_s" for place in ROTORS), shape=(len(ROTORS),))
 
     def __post_init__(self) -> None:

@@ -203,7 +203,7 @@ class VibrationSpec:
     imu_down: float = figure("m", -100, 100, default=0.0)
     """The same downwards [m]."""
     inner_rate: float = figure("hz", 0, 64000, default=0.0)
-    """Rate at which the IMU samples vibration by rotors and sums it to its output [Hz]; 0: the output rate."""
+    """Rate at which the IMU samples vibration by rotors and sums it up [Hz]; 0: the output rate."""
 
     @property
     def by_rotors(self) -> bool:

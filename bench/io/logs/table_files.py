@@ -38,6 +38,7 @@ UNITS = {
     "length": ("m", "km", "mm", "cm", "dm"),
     "speed": ("m/s", "mm/s", "km/h"),
     "rate": ("rad/s", "deg/s", "deg/h"),
+    "revolution": ("rad/s", "1/min"),
     "acceleration": ("m/s^2", "g", "mg"),
     "pressure": ("Pa", "hPa"),
     "field": ("uT", "nT", "T", "gauss", "mgauss"),
@@ -444,5 +445,6 @@ def _choose(
 
 
 def _add_unit(stem: str, unit: str) -> str:
-    ending = unit.replace("m/s^2", "m_s2").replace("m/s", "mps").replace("/", "_").replace("-", "").lower()
+    ending = unit.replace("1/min", "rpm").replace("m/s^2", "m_s2").replace("m/s", "mps")
+    ending = ending.replace("/", "_").replace("-", "").lower()
     return f"{stem}_{ending}".rstrip("_")

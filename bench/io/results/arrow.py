@@ -24,9 +24,9 @@ def to_arrow(result: RunResult, record: str, estimator: str | None = None) -> pa
     result : RunResult
         Result from `bench.run`, `bench.navigate` or `bench.read_result`.
     record : str
-        "errors", "solutions" or "innovations" of the filters; "truth", "air", "controls" or "rotors" of the flight;
-        "imu", "gnss", "observations", "baro" ... of the sensors; "drawn", the true sensor errors; "sky";
-        "events".
+        "errors", "solutions" or "innovations" of the filters; "truth", "air", "controls" or "rotors" of the
+        flight; "imu", "gnss", "observations", "baro" ... of the sensors; "drawn", the true sensor
+        errors; "sky"; "events".
     estimator : str, optional
         Filter whose rows are returned. Default: all filters, with a first column ``estimator``.
 

@@ -50,6 +50,7 @@ class TableMotion:
     q_eb: FloatArray  # (N, 4), sign-continuous
     vel_e: FloatArray | None  # (N, 3) [m/s]
     notes: list[EventRow]
+    rotors: FloatArray | None = None  # (N, 4) speed of each rotor [rad/s]
 
 
 def make_motion(track: FixSeries, spec: TrackSpec, shown: str) -> TableMotion:

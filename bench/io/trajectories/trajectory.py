@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -33,8 +34,17 @@ from bench.core.mathematics.rotation import (
 from bench.core.mathematics.units import FACTORS, STANDARD_GRAVITY, split_unit
 from bench.core.records.data import EventRow, Events, Trajectory
 from bench.core.records.flight_specs import TableSpec, TrackSpec
+from bench.core.records.rotors import ROTORS
 from bench.core.words.exceptions import ConfigError
-from bench.io.logs.table_files import TableColumns, check_times, find_first, group, list_names, read_table
+from bench.io.logs.table_files import (
+    TableColumns,
+    check_times,
+    find_first,
+    group,
+    list_columns,
+    list_names,
+    read_table,
+)
 from bench.io.trajectories.motion_commands import fly_commands, is_motion_definition
 from bench.io.trajectories.track_files import READERS, order_fixes, read_track
 from bench.io.trajectories.track_motion import TableMotion, doubt_degrees, make_motion
@@ -75,7 +85,14 @@ VELOCITIES = (
     group("speed", "vel_n", "vel_e", "vel_d"),
     group("speed", "ecef_vel_x", "ecef_vel_y", "ecef_vel_z"),
 )
-KINDS = {"time": _TIMES, "position": _POSITIONS, "attitude": _ATTITUDES, "velocity": VELOCITIES}
+_SPINS = (group("revolution", *(f"rotor_speed_{place}" for place in ROTORS)),)
+KINDS = {
+    "time": _TIMES,
+    "position": _POSITIONS,
+    "attitude": _ATTITUDES,
+    "velocity": VELOCITIES,
+    "rotors": _SPINS,
+}
 """Kind -> alternative groups of columns; the first complete one is used."""
 
 COLUMNS = {kind: list_names(groups) for kind, groups in KINDS.items()}
@@ -84,6 +101,7 @@ COLUMNS = {kind: list_names(groups) for kind, groups in KINDS.items()}
 lat, lon, alt: geodetic, WGS 84, ellipsoidal height. ecef: Earth-fixed, WGS 84. roll, pitch, heading (or yaw,
 which is the same): yaw-pitch-roll from north-east-down to forward-right-down, heading clockwise from north.
 q_nb, q_eb: scalar first, from b to n (north-east-down) or to e. vel: velocity relative to the Earth.
+rotor_speed: speeds of the rotors of a multirotor, linear between the rows; also in rpm.
 """
 
 
@@ -124,7 +142,7 @@ def read_trajectory(spec: TableSpec) -> Iterator[Trajectory]:
             f"more than {MOST_ROWS}: lower rate_hz, or set duration_s"
         )
     beyond, most, where = np.empty(0), 0.0, 0.0  # times beyond _FORCE; largest force and its time
-    for truth in make_truth(_make_stretches(fit, spec.rate, samples), spec.rate):
+    for truth in make_truth(_make_stretches(rows, fit, spec.rate, samples), spec.rate):
         force = np.linalg.norm(truth.dvel_b, axis=1) / np.diff(truth.t) / STANDARD_GRAVITY
         beyond = np.append(beyond, truth.t[1:][force > _FORCE])
         if force.max() > most:
@@ -151,7 +169,8 @@ def _read_motion(spec: TableSpec) -> TableMotion:
                 f"{shown}: [track] is not used, because the commands contain an attitude: leave it out"
             )
         return fly_commands(spec.path)
-    table = read_table(spec.path, KINDS, ("velocity", "attitude"), MOST_ROWS)
+    table = read_table(spec.path, KINDS, ("velocity", "attitude", "rotors"), MOST_ROWS)
+    table.check_groups({"rotors": _SPINS}, shown)
     if "attitude" in table.columns:
         if spec.track is not None:
             raise ConfigError(
@@ -159,6 +178,8 @@ def _read_motion(spec: TableSpec) -> TableMotion:
             )
         return _check_rows(table, shown)
     table.check_groups({"attitude": _ATTITUDES}, shown)
+    if "rotors" in table.columns:
+        raise ConfigError(f"{shown}: {table.names['rotors'][0]} needs an attitude in the table: leave it out")
     position = table.columns["position"]
     lla = position if table.stems["position"][0] == "lat" else to_geodetic(position)
     notes = [table.list_unused()] if table.unused else []
@@ -203,7 +224,29 @@ def _check_rows(table: TableColumns, shown: str) -> TableMotion:
     vel_e = table.columns.get("velocity")
     if vel_e is not None and table.stems["velocity"][0] == "vel_n":
         vel_e = rotate(q_en, vel_e)
-    return TableMotion(t - t[0], pos_e, q_eb, vel_e, notes)
+    return TableMotion(t - t[0], pos_e, q_eb, vel_e, notes, _check_rotors(table, shown))
+
+
+def _check_rotors(table: TableColumns, shown: str) -> FloatArray | None:
+    """Return the speeds of the rotors (N, 4) [rad/s], or None; raise ConfigError at the first below 0."""
+    speeds = table.columns.get("rotors")
+    for name, column in zip(table.names.get("rotors", ()), () if speeds is None else speeds.T, strict=True):
+        if (k := find_first(column < 0.0)) is not None:
+            value = column[k] / FACTORS[split_unit(name)[1]]
+            raise ConfigError(
+                f"{shown}: row {k + 1}: {name} = {value:.9g} is below 0: give the speed, without a sign"
+            )
+    return speeds
+
+
+def has_rotor_speeds(path: Path) -> bool:
+    """Return whether a table has the columns of rotor speeds; True if it cannot be read: reading says why."""
+    if path.suffix.lower() in READERS or is_motion_definition(path):
+        return False
+    try:
+        return set(_SPINS[0]) <= {split_unit(name)[0] for name in list_columns(path)}
+    except ConfigError:
+        return True
 
 
 def check_positions(
@@ -323,7 +366,7 @@ def _choose_knots(t: FloatArray) -> Any:
     return np.array(kept)
 
 
-def _make_stretches(fit: _Fit, rate: float, samples: int) -> Iterator[Stretch]:
+def _make_stretches(rows: TableMotion, fit: _Fit, rate: float, samples: int) -> Iterator[Stretch]:
     """Yield the motion in segments, ``samples`` in all; frame i is frame e at t = 0."""
     substeps = max(1, math.ceil(_FINE_RATE / rate))
     dt = 1.0 / (rate * substeps)
@@ -343,7 +386,10 @@ def _make_stretches(fit: _Fit, rate: float, samples: int) -> Iterator[Stretch]:
             q_nb=continuous(multiply(q_ne, q_eb)),
             q_ib=continuous(multiply(q_ie, q_eb)),
         )
-        yield Stretch(first, motion, NO_AIR, NO_GROUND)
+        rotors = None
+        if rows.rotors is not None:
+            rotors = np.stack([np.interp(t, rows.t, speed) for speed in rows.rotors.T], axis=-1)
+        yield Stretch(first, motion, NO_AIR, NO_GROUND, rotors=rotors)
 
 
 # --- what is inconsistent -----------------------------------------------------------------------------

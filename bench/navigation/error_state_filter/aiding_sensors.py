@@ -270,5 +270,6 @@ def imu_errors(imu: ImuSpec) -> Errors:
     shaking = imu.vibration
     yield (
         "vibration",
-        max(shaking.engine_gyro, shaking.engine_accel, shaking.gust_gyro, shaking.gust_accel),
+        max(shaking.engine_gyro, shaking.engine_accel, shaking.gust_gyro, shaking.gust_accel)
+        or shaking.by_rotors,
     )

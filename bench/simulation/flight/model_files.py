@@ -7,6 +7,7 @@ stripped and written into a scratch folder, and only that copy is loaded.
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +15,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 from bench.core.words.exceptions import FlightError
-from bench.simulation.flight.jsbsim_units import POUND, SLUG
+from bench.simulation.flight.jsbsim_units import FT, POUND, SLUG
 
 NAME = re.compile(r"[A-Za-z0-9_-]+")
 """Of an aircraft, or of a gain."""
@@ -29,6 +30,8 @@ _MOST_FILES = 500
 _MOST_BYTES = 20_000_000  # of one file; the largest of the jsbsim wheel has 0.2 MB
 _UNWANTED = ("input", "output")
 _KILOGRAMS = {"KG": 1.0, "LBS": POUND, "SLUG": SLUG}
+_INERTIAS = {"KG*M2": 1.0, "SLUG*FT2": SLUG * FT**2}
+_ARMS = {"rotor/arm-forward-m": "rotor_forward", "rotor/arm-right-m": "rotor_right"}
 _LIGHTEST = 150.0  # below it a state certifies what flies without a pilot on board, above it the EASA [kg]
 _HEAVIEST = 19_000 * POUND  # above it an aeroplane is of the transport category, 14 CFR 25 [kg]
 _AGILE = 30_000.0  # heavier ones with an afterburner are no fighters; assumed [kg]
@@ -206,6 +209,42 @@ def count_engines(model: ElementTree.Element) -> int:
 def system_files(model: Path) -> set[str]:
     """Return the files of the systems a model names."""
     return {system.get("file", "") for system in read_xml(model, model.name).findall("system")}
+
+
+def rotor_figures(model: Path) -> dict[str, float]:
+    """Return positions of rotors and radii of gyration [m], by field of `VibrationSpec`.
+
+    What the model does not declare is left out, and so are the radii of a model with point masses.
+
+    Raises
+    ------
+    FlightError
+        When the model cannot be read.
+    """
+    root, found = read_xml(model, model.name), {}
+    for one in root.iter("property"):
+        name = (one.text or "").strip()
+        if name in _ARMS and one.get("value"):
+            found[_ARMS[name]] = _number(one.get("value"))
+    balance = root.find("mass_balance")
+    weight = None if balance is None else balance.find("emptywt")
+    if balance is None or weight is None or balance.find("pointmass") is not None:
+        return found
+    mass = _KILOGRAMS.get(weight.get("unit", "LBS"), math.nan) * _number(weight.text)
+    for axis in "xyz":
+        moment = balance.find(f"i{axis}{axis}")
+        if moment is not None:
+            inertia = _INERTIAS.get(moment.get("unit", "SLUG*FT2"), math.nan) * _number(moment.text)
+            if inertia > 0 and mass > 0:
+                found[f"gyration_{axis}"] = math.sqrt(inertia / mass)
+    return found
+
+
+def _number(text: str | None) -> float:
+    try:
+        return float(text or "nan")
+    except ValueError:
+        return math.nan
 
 
 def _speaks(element: ElementTree.Element) -> bool:

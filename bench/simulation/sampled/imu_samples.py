@@ -125,7 +125,7 @@ class SampledImu:
     def _shake(self, motion: SampleMotion, air: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the increments (1, 3) with the vibration of the unit."""
         dtheta_b, dvel_b = motion.dtheta_b[None], motion.dvel_b[None]
-        if not self._spec.feels_air:
+        if not (self._spec.feels_air or self._spec.vibration.by_rotors):
             return dtheta_b, dvel_b
         assert self._last is not None
         before, air_before = self._last

@@ -35,6 +35,8 @@ from bench.simulation.sensors.draws import SensorDraws
 
 ORDERS = (1, 2, 4)
 """Periods per revolution."""
+NEEDED = ("rotor_forward", "rotor_right", "gyration_x", "gyration_y", "gyration_z")
+"""Figures without which rotors shake nothing."""
 
 
 class RotorTones:
@@ -52,7 +54,7 @@ class RotorTones:
     Raises
     ------
     ConfigError
-        If the truth has no rotors.
+        If the truth has no rotors, or a position or a radius is missing.
     """
 
     def __init__(self, truth: Trajectory, spec: VibrationSpec, draws: SensorDraws) -> None:
@@ -60,8 +62,10 @@ class RotorTones:
             raise ConfigError(
                 "[vibration] rotor_accel needs the speeds of rotors, which this flight does not have"
             )
-        shape = 2, len(ROTORS), len(ORDERS)
-        phases = draws.keep("rotor phases", lambda: draws.stream("rotors").uniform(0.0, 2 * np.pi, shape[1:]))
+        if missing := list_missing(spec):
+            raise ConfigError(f"[vibration] vibration by rotors needs {', '.join(missing)} above 0")
+        shape = len(ROTORS), len(ORDERS)
+        phases = draws.keep("rotor phases", lambda: draws.stream("rotors").uniform(0.0, 2 * np.pi, shape))
         self._turn, self._move = compute_amplitudes(spec, phases)
         self._t, self._speed = truth.t, truth.rotors.speed
         self._angle = disk_arrays.empty(self._speed.shape)
@@ -82,6 +86,11 @@ class RotorTones:
             self._turn, self._move, count, np.empty((2, 4, 3)), np.empty((3, len(ROTORS))), *out,
         )  # fmt: skip
         return out[0], out[1]
+
+
+def list_missing(spec: VibrationSpec) -> list[str]:
+    """Return the keys of positions and radii of gyration that are 0."""
+    return [f"{name}_m" for name in NEEDED if getattr(spec, name) <= 0]
 
 
 def compute_amplitudes(spec: VibrationSpec, phases: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -25,6 +25,7 @@ from bench.core.records.findings.series import (
     thin,
 )
 from bench.core.records.instruments import INSTRUMENTS, Instrument
+from bench.core.records.rotors import ROTORS
 from bench.views.plots.content import Content, Tab
 
 
@@ -70,6 +71,12 @@ def _plots(content: Content) -> Mapping[str, Rows]:
     ]
     power = [draw_line("throttle", controls.t, 100.0 * controls.throttle, "throttle", blue)]
     engine = [draw_line("speed", air.t, air.engine_speed * 30.0 / np.pi, "engine speed", red)]
+    if isinstance(truth, Trajectory) and len(truth.rotors):
+        spin = disk_arrays.take(truth.rotors.speed, keep) * 30.0 / np.pi
+        engine = [
+            draw_line(place, t, spin[:, k], place.replace("_", " "), ESTIMATORS[k])
+            for k, place in enumerate(ROTORS)
+        ]
     groups = [
         [("altitude", "Altitude [m]", altitude), ("speed", "Speed [m/s]", speed)],
         [("attitude", "Roll and pitch [deg]", attitude), ("heading", "Heading [deg]", heading)],
@@ -77,7 +84,7 @@ def _plots(content: Content) -> Mapping[str, Rows]:
         [
             ("surfaces", "Control surfaces [-1 to 1]", surfaces),
             ("throttle", "Throttle [%]", power),
-            ("engine", "Engine speed [rpm]", engine),
+            ("engine", f"{'Rotor' if len(engine) > 1 else 'Engine'} speed [rpm]", engine),
         ],
         *([(name, _measured_title(name), series)] for name, series in measured.items()),
     ]
