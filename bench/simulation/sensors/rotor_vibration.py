@@ -17,7 +17,8 @@ holds them. An IMU reads, to the second order in theta,
 
 The means of the two products are what coning and sculling add: an attitude and a velocity computed from the
 increments of the inner rate do not drift, computed from sums of increments they do. Left out are w x (w x u)
-and w' x u, below 1e-3 of u'' up to 10 rad/s. Structure and isolators are rigid.
+and w' x u, below 1e-3 of u'' up to 10 rad/s. Structure and isolators are rigid. What is slower than 2 Hz the
+controller or the ground holds: u and theta have a factor w^2 / (w^2 + w0^2), 0 for a rotor that stands.
 """
 
 from __future__ import annotations
@@ -37,6 +38,7 @@ ORDERS = (1, 2, 4)
 """Periods per revolution."""
 NEEDED = ("rotor_forward", "rotor_right", "gyration_x", "gyration_y", "gyration_z")
 """Figures without which rotors shake nothing."""
+_HELD = 2.0 * np.pi * 2.0  # w0 [rad/s]
 
 
 class RotorTones:
@@ -148,15 +150,16 @@ def swing_kernel(
             out[j, i] = 0.0
     for r in range(speed.shape[0]):
         c, s = np.cos(angle[r]), np.sin(angle[r])
+        free = speed[r] * speed[r] / (speed[r] * speed[r] + _HELD * _HELD)
         for k in range(orders.shape[0]):
             if k > 0:  # twice the order before
                 c, s = c * c - s * s, 2.0 * c * s
             rate, bend = orders[k] * speed[r], orders[k] * slope[r]
             for i in range(3):
-                a, b = turn[r, k, 0, i], turn[r, k, 1, i]
+                a, b = free * turn[r, k, 0, i], free * turn[r, k, 1, i]
                 out[0, i] += a * c + b * s
                 out[1, i] += rate * (b * c - a * s)
-                a, b = move[r, k, 0, i], move[r, k, 1, i]
+                a, b = free * move[r, k, 0, i], free * move[r, k, 1, i]
                 out[2, i] += rate * (b * c - a * s)
                 out[3, i] += bend * (b * c - a * s) - rate * rate * (a * c + b * s)
 
