@@ -44,15 +44,14 @@ def hover(seconds, rate, speed, w_b=(0.0, 0.0, 0.0), f_b=G_B):
 
 
 def phasors(spec=ROTORS, speed=REFERENCE):
-    """Complex amplitudes by order: specific force at the IMU (3, 3) and angular rate (3, 3), from Newton's laws.
+    """Complex amplitudes by order: specific force at the IMU and angular rate, both (3, 3), by Newton.
 
     A quantity is Re(amplitude e^(i n psi)), psi the angle that all rotors have turned.
     """
     phases = stream(1, 0, "imu.vibration.rotors").uniform(0.0, 2 * np.pi, (4, 3))
     force, rate = np.zeros((2, 3, 3), complex)
-    for k, (order, rms) in enumerate(
-        ((1, spec.rotor_accel_1), (2, spec.rotor_accel_2), (4, spec.rotor_accel_4))
-    ):
+    for k, order in enumerate((1, 2, 4)):
+        rms = getattr(spec, f"rotor_accel_{order}")
         for r, hub in enumerate(HUBS):
             turn = np.exp(1j * phases[r, k]) * np.sqrt(2) * rms * MASS * (speed / REFERENCE) ** 2
             sine = 1j if ANTICLOCKWISE[r] else -1j  # Re(-i e^(i x)) = sin x: y is to the right
@@ -128,6 +127,16 @@ def swing(t, speed, angle):
     return theta, velocity
 
 
+def multiply_up(dtheta):
+    """Attitudes (K + 1) after rotation vectors (K, 3), by products of twice as many at a time."""
+    q = Rotation.from_rotvec(np.vstack([np.zeros(3), dtheta])).as_quat()
+    step = 1
+    while step < len(q):
+        q[step:] = (Rotation.from_quat(q[:-step]) * Rotation.from_quat(q[step:])).as_quat()
+        step *= 2
+    return Rotation.from_quat(q)
+
+
 def test_increments_of_the_inner_rate_lead_to_a_bounded_motion_while_the_speed_changes():
     """Attitude C exp(theta) and velocity v + u' after 2 s of 300 to 700 rad/s, turning at 0.5 rad/s.
 
@@ -146,14 +155,12 @@ def test_increments_of_the_inner_rate_lead_to_a_bounded_motion_while_the_speed_c
     theta, velocity = (20.0 * part for part in swing(t, speed, angle))
     smooth = Rotation.from_rotvec(np.outer(t, w_b))
     expected = smooth * Rotation.from_rotvec(theta)
-    q, gained = expected[0], np.zeros(3)
-    for turn, step in zip(dtheta, dvel, strict=True):
-        gained += (q * Rotation.from_rotvec(0.5 * turn)).apply(step)
-        q = q * Rotation.from_rotvec(turn)
+    turned = expected[0] * multiply_up(dtheta)
+    gained = (turned[:-1] * Rotation.from_rotvec(0.5 * dtheta)).apply(dvel).sum(axis=0)
     fine = np.linspace(0.0, 2.0, 20_001)
     held = np.trapezoid(Rotation.from_rotvec(np.outer(fine, w_b)).apply(G_B), fine, axis=0)
     displaced = smooth.apply(velocity + np.cross(w_b, displace(angle)))
-    assert np.linalg.norm((expected[1].inv() * q).as_rotvec()) < 1e-5
+    assert np.linalg.norm((expected[1].inv() * turned[-1]).as_rotvec()) < 1e-5
     assert np.linalg.norm(gained - held - (displaced[1] - displaced[0])) < 5e-4
 
 
@@ -168,7 +175,7 @@ def displace(angle):
 
 
 def test_two_phased_tones_drift_by_half_the_rate_times_both_angles_in_the_sum_of_increments():
-    """Coning: w theta_x theta_y sin(phase) / 2 about z, which the increments of 8 kHz keep and their sums lose.
+    """Coning: w theta_x theta_y sin(phase) / 2 about z, which increments of 8 kHz keep and sums lose.
 
     Angles about z there are none: the blades push along z.
     """
@@ -178,11 +185,9 @@ def test_two_phased_tones_drift_by_half_the_rate_times_both_angles_in_the_sum_of
     drift = 0.5 * 2 * REFERENCE * abs(x) * abs(y) * np.sin(np.angle(x) - np.angle(y))
     tones = RotorTones(truth, blades, SensorDraws(1, 0).part("imu.vibration"))
     dtheta, _ = tones.add(slice(0, len(truth.t) - 1), truth.dtheta_b, truth.dvel_b, 40)
-    q = Rotation.identity()
-    for turn in dtheta:
-        q = q * Rotation.from_rotvec(turn)
+    turned = multiply_up(dtheta)[-1].as_rotvec()
     assert abs(drift) > 1e-4
-    assert abs(q.as_rotvec()[2] / 4.0) < 0.02 * abs(drift)
+    assert abs(turned[2] / 4.0) < 0.02 * abs(drift)
     record, _ = run(truth, vibration=blades)
     assert record.dtheta_b.sum(axis=0)[2] / 4.0 == pytest.approx(-drift, rel=3e-3)
 
@@ -237,9 +242,8 @@ def pieces(truth, *ends):
 def test_a_flight_in_pieces_has_the_bits_of_the_whole(inner):
     """Response, range, errors that follow the motion, and rotors that change their speed."""
     rng = np.random.default_rng(4)
-    truth = hover(
-        4.0, 200.0, lambda t: 400.0 + 30.0 * rng.normal(size=(len(t), 4)).cumsum(axis=0) ** 2 / len(t)
-    )
+    wander = 30.0 * rng.normal(size=(801, 4)).cumsum(axis=0) ** 2 / 800
+    truth = hover(4.0, 200.0, 400.0 + wander)
     moving = {"bandwidth": 90.0, "delay": 0.0037, "dead_zone": 1e-3, "quantization": 1e-6, "range": 5.6}
     gyro = TriadSpec(random_walk=1e-4, g2_sensitivity_sd=1e-6, nonlinearity_sd=1e-4, **moving)
     unit = replace(
@@ -254,7 +258,7 @@ def test_a_flight_in_pieces_has_the_bits_of_the_whole(inner):
         assert_array_equal(
             np.concatenate([getattr(part, name) for part in parts]), getattr(whole, name), name
         )
-    assert 0.0 < whole.valid.mean() < 1.0
+    assert whole.valid.all() != bool(inner)  # the means of samples are within the range
 
 
 @pytest.mark.parametrize(
