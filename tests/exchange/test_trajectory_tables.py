@@ -369,3 +369,78 @@ def test_the_cache_knows_a_table_by_its_content_and_the_antenna_counts(tmp_path)
     path.write_text(path.read_text().replace("1500.0", "1500.1", 1))
     assert truth_key(profile.flight) != before
     assert profile.sensors.antenna_b == (1.5, 0.0, 0.0)
+
+
+SPEEDS = tuple(
+    f"rotor_speed_{place}" for place in ("ahead_right", "ahead_left", "behind_left", "behind_right")
+)
+
+
+def spun(unit: str, *, rotors: tuple[str, ...] = SPEEDS, lowest: float = 300.0):
+    """What adds rotor speeds to a table: waves between ``lowest`` and 100 rad/s above it."""
+
+    def change(table: dict[str, np.ndarray]) -> None:
+        for k, name in enumerate(rotors):
+            wave = lowest + 50.0 * (1.0 + np.sin(0.3 * table["t_s"] + k))
+            table[f"{name}_{unit}"] = wave * (30.0 / np.pi if unit == "rpm" else 1.0)
+
+    return change
+
+
+@pytest.mark.parametrize("unit", ["rad_s", "rpm"])
+def test_rotor_speeds_of_a_table_are_those_of_its_truth(tmp_path, unit):
+    """Linear between rows of 20 Hz: a wave of 0.3 rad/s within 0.3^2 0.05^2 / 8 of its amplitude."""
+    names = (*GEODETIC, *QUATERNION, *(f"{name}_{unit}" for name in SPEEDS))
+    truth = fly(edited(tmp_path, spun(unit), names), 100.0)
+    waves = [300.0 + 50.0 * (1.0 + np.sin(0.3 * truth.t + k)) for k in range(4)]
+    np.testing.assert_allclose(truth.rotors.speed, np.transpose(waves), rtol=0, atol=2e-3)
+    np.testing.assert_array_equal(truth.rotors.t, truth.t)
+    assert not len(fly(edited(tmp_path, lambda table: None), 100.0).rotors)
+
+
+@pytest.mark.parametrize(
+    ("change", "unit", "base", "message"),
+    [
+        (spun("rad_s", rotors=SPEEDS[:3]), "rad_s", QUATERNION, "without rotor_speed_behind_right"),
+        (spun("rad_s", lowest=-60.0), "rad_s", QUATERNION, r"row 1: rotor_\w+ = -10 is below 0: give"),
+        (spun("rad_s", lowest=np.nan), "rad_s", QUATERNION, "row 1: rotor_speed_ahead_right_rad_s is not a"),
+        (spun("hz"), "hz", QUATERNION, "_hz' must end in its unit: .*_rad_s or .*_rpm"),
+        (spun("rad_s"), "rad_s", (), "right_rad_s needs an attitude in the table: leave it"),
+    ],
+)  # fmt: skip
+def test_rotor_speeds_that_cannot_be_are_one_line(tmp_path, change, unit, base, message):
+    table = turns(20.0, 30.0)
+    change(table)
+    names = (*GEODETIC, *base, *(f"{name}_{unit}" for name in SPEEDS if f"{name}_{unit}" in table))
+    with pytest.raises(ConfigError, match=message) as caught:
+        fly(write(tmp_path / "bad.parquet", table, names), 100.0)
+    assert len(caught.value.messages) == 1
+
+
+TONES = {"rotor_accel_1_mg": 200.0, "rotor_reference_rpm": 4500.0}
+BODY = {"rotor_forward_m": 0.12, "rotor_right_m": 0.12, **{f"gyration_{axis}_m": 0.09 for axis in "xyz"}}
+
+
+def test_a_table_with_rotor_speeds_shakes_the_imu_and_one_without_is_refused(tmp_path):
+    """The lines of the rotors stand 20 dB above the spectrum of the same unit without them."""
+    (tmp_path / "own.toml").write_text('trajectory = "bad.parquet"\n[evaluation]\nfrom_s = 5.0\n')
+
+    def read(**figures):
+        changed = {f"sensors.imu.vibration.{key}": value for key, value in figures.items()}
+        return read_profile(str(tmp_path / "own.toml"), {"sensors.imu": "matched-mems", **changed})
+
+    edited(tmp_path, spun("rpm"), (*GEODETIC, *QUATERNION))
+    with pytest.raises(
+        ConfigError, match="rotor_accel needs the speeds of four rotors; the table has no columns"
+    ):
+        read(**TONES, **BODY)
+    edited(tmp_path, spun("rpm"), (*GEODETIC, *QUATERNION, *(f"{name}_rpm" for name in SPEEDS)))
+    with pytest.raises(
+        ConfigError, match="needs rotor_right_m, gyration_x_m, gyration_y_m, gyration_z_m above 0"
+    ):
+        read(**TONES, rotor_forward_m=0.12)
+    calm, shaken = (
+        pipeline.sense(profile, pipeline.fly(profile)).data.imu.dvel_b[:, 0] * 200.0
+        for profile in (read(), read(**TONES, **BODY))
+    )
+    assert np.std(np.diff(shaken)) > 10.0 * np.std(np.diff(calm))

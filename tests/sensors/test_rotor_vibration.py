@@ -192,7 +192,7 @@ def test_two_phased_tones_drift_by_half_the_rate_times_both_angles_in_the_sum_of
     assert record.dtheta_b.sum(axis=0)[2] / 4.0 == pytest.approx(-drift, rel=3e-3)
 
 
-def test_no_amplitude_gives_the_bits_of_the_truth_and_one_that_is_off_those_of_the_others():
+def test_no_amplitude_gives_the_bits_of_the_truth():
     truth = hover(1.0, 200.0, REFERENCE)
     none = replace(ROTORS, rotor_accel_1=0.0, rotor_accel_2=0.0, rotor_accel_4=0.0)
     shaken = vibration.shake(truth, none, SensorDraws(1, 0))
@@ -211,7 +211,7 @@ def test_no_amplitude_gives_the_bits_of_the_truth_and_one_that_is_off_those_of_t
 
 
 def test_what_the_filter_and_the_range_do_inside_a_sample_reaches_the_output():
-    """Peaks beyond the range clip and flag samples whose mean is within it; the square of the force drifts."""
+    """Peaks beyond the range clip and flag samples whose mean is within it; the force squared drifts."""
     truth, strong = hover(2.0, 200.0, REFERENCE), replace(ROTORS, rotor_accel_2=9.0, rotor_accel_1=0.0)
     force = phasors(strong)[0]
     peak = 9.8 + np.abs(force[1][2]) - np.abs(force[2][2])

@@ -36,6 +36,7 @@ from bench.core.records.data import (
 )
 from bench.core.records.flight_specs import FlightSpec
 from bench.core.records.instruments import AirspeedData, BaroData, MagData
+from bench.core.records.rotors import Rotors, no_rotors
 from bench.core.records.run_records import ErrorSeries, Sensed, SensorTruth
 from bench.core.records.run_result import RunResult
 from bench.core.words.exceptions import BenchError
@@ -72,7 +73,8 @@ def truth() -> Trajectory:
     legs = Events(
         np.array([0.0, 2.0]), np.array([2.0, 4.0]), ("leg", "leg"), ("1 straight", "2 turn: 90 °"), ("", "")
     )
-    return dataclasses.replace(flown, events=legs)
+    speed = 400.0 + np.random.default_rng(2).normal(size=(len(flown.t), 4)).cumsum(axis=0)
+    return dataclasses.replace(flown, events=legs, rotors=Rotors(flown.t, speed))
 
 
 @pytest.fixture(scope="module")
@@ -206,6 +208,18 @@ def test_what_is_saved_comes_back(saved, result, truth, sensed):
         equal(record, getattr(sensed.data, name))
 
 
+def test_results_without_rotors_have_none(saved, tmp_path, result, truth):
+    """Folders of a bench that did not write them, and of flights without rotors, which write no file."""
+    (saved / "truth-rotors.parquet").unlink()
+    again = results.read_result(saved).truth
+    equal(again, dataclasses.replace(truth, rotors=no_rotors()))
+    results.save(tmp_path, dataclasses.replace(result, records={**result.records, "truth": again}))
+    assert not (tmp_path / "truth-rotors.parquet").exists()
+    assert (tmp_path / "truth-air.parquet").exists()
+    with pytest.raises(ValueError, match=r"Trajectory\.rotors: 3 rows for 401 times"):
+        dataclasses.replace(truth, rotors=Rotors(truth.t[:3], truth.rotors.speed[:3]))
+
+
 @pytest.mark.parametrize("values", [1, 300])
 def test_what_is_saved_in_groups_of_rows_comes_back(tmp_path, monkeypatch, result, truth, sensed, values):
     monkeypatch.setattr(results.parquet, "GROUP", values)
@@ -237,7 +251,7 @@ def test_sensors_that_are_not_on_board_have_no_file(tmp_path, result, truth, sen
 
 def test_every_column_has_a_unit_and_every_vector_a_frame(saved):
     files = list(saved.glob("*.parquet"))
-    assert len(files) == 19
+    assert len(files) == 20
     for path in files:
         for field in pq.read_schema(path):
             metadata = {key.decode(): value.decode() for key, value in field.metadata.items()}
@@ -492,7 +506,8 @@ def cut(truth: Trajectory, *rows: int) -> list[Trajectory]:
         points = {name: getattr(truth, name)[start : stop + 1] for name in ("t", "lla", "vel_n", "q_nb")}
         between = {name: getattr(truth, name)[start:stop] for name in ("dtheta_b", "dvel_b")}
         events = truth.events if stop == len(truth) - 1 else no_events()
-        pieces.append(Trajectory(**points, **between, **parts, events=events))
+        spun = Rotors(points["t"], truth.rotors.speed[start : stop + 1])
+        pieces.append(Trajectory(**points, **between, **parts, events=events, rotors=spun))
     return pieces
 
 
@@ -843,7 +858,7 @@ def folder(tmp_path_factory):
 def test_every_file_of_a_folder_is_a_table_of_the_result(folder):
     """The columns of the table are those of the file, in value and metadata."""
     loaded = bench.read_result(folder)
-    names = {"truth": "truth", "truth-air": "air", "truth-controls": "controls"}
+    names = {"truth": "truth", "truth-air": "air", "truth-controls": "controls", "truth-rotors": "rotors"}
     for path in folder.glob("*.parquet"):
         kind, _, name = path.stem.partition("-")
         if path.stem.endswith("events") or kind == "events":
