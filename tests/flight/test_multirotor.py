@@ -16,7 +16,7 @@ from bench.core.mathematics.earth import matrix_en, to_ecef
 from bench.core.mathematics.rotation import to_euler
 from bench.core.records.data import Trajectory
 from bench.core.records.flight_specs import MULTIROTOR, FlightSpec, Leg, LegStart, Runway
-from bench.core.records.rotors import no_rotors
+from bench.core.records.rotor_speeds import no_rotors
 from bench.core.words.exceptions import ConfigError, FlightError
 from bench.io.config.library import read_aircraft
 from bench.simulation.flight.guidance.rides import Ride

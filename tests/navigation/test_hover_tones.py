@@ -56,6 +56,8 @@ def test_wings_have_no_rotors_to_shake_an_imu():
         read_profile("approach", named)
     with pytest.raises(ConfigError, match="inner_rate_hz has no effect without rotor_accel"):
         read_profile("approach", {"sensors.imu.vibration.inner_rate_hz": 4000.0})
+    with pytest.raises(ConfigError, match="inner_rate_hz = 300 Hz must be a multiple of rate_hz = 200 Hz"):
+        shaken(inner_rate_hz=300.0)
 
 
 def test_the_verdict_names_vibration_as_an_error_without_a_state():

@@ -14,7 +14,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
 from bench.core.mathematics.random_streams import stream
-from bench.core.records.rotors import Rotors
+from bench.core.records.rotor_speeds import Rotors
 from bench.core.records.sensor_specs import ThermalSpec, TriadSpec, VibrationSpec
 from bench.core.words.exceptions import ConfigError
 from bench.simulation.sensors import imu, vibration

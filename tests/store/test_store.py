@@ -36,7 +36,7 @@ from bench.core.records.data import (
 )
 from bench.core.records.flight_specs import FlightSpec
 from bench.core.records.instruments import AirspeedData, BaroData, MagData
-from bench.core.records.rotors import Rotors, no_rotors
+from bench.core.records.rotor_speeds import Rotors, no_rotors
 from bench.core.records.run_records import ErrorSeries, Sensed, SensorTruth
 from bench.core.records.run_result import RunResult
 from bench.core.words.exceptions import BenchError

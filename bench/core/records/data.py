@@ -17,7 +17,7 @@ import numpy as np
 from bench.core.mathematics.arrays import BoolArray, FloatArray, IntArray
 from bench.core.records.fields import NED, Rebuilt, Record, column, declared, freeze_field, matrix, vector
 from bench.core.records.instruments import InstrumentReports
-from bench.core.records.rotors import Rotors, no_rotors
+from bench.core.records.rotor_speeds import Rotors, no_rotors
 from bench.core.records.sensor_specs import DEFAULT_DATE, AssumedSpecs
 
 LLA = ("lat_rad", "lon_rad", "alt_m")

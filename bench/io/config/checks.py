@@ -6,21 +6,26 @@ import itertools
 import math
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from bench.core.files.installed import find_installed
+from bench.core.records.flight_specs import AircraftSpec, Flight, TableSpec
 from bench.core.records.instruments import INSTRUMENTS
 from bench.core.records.specs import AUTOPILOT, CLIENT, EstimatorChoice
+from bench.core.words.exceptions import FlightError
 from bench.core.words.wording import quantity, suggest
 from bench.evaluation.requirements.required_metrics import is_metric
 from bench.io.config.profile_tables import ExperimentTable, RequirementTable
 from bench.navigation.built_in import BUILT_IN
 from bench.navigation.error_state_filter.rough_heading import UNKNOWN_HEADING_SD
+from bench.simulation.flight.model_files import rotor_figures
 from bench.simulation.signals.magnetic import FIRST_YEAR, LAST_YEAR
 
 _TICKS = 20  # set-points of guidance a second
 LABEL = re.compile(r"[A-Za-z0-9_.-]{1,100}")
 """Label of a filter, a part of the names of its files."""
+_PLACE = ("imu_forward", "imu_right", "imu_down")
 _DRIFT_DEG = 10.0  # 1 sigma: a crosswind of a sixth of the airspeed, unknown to the filter
 
 
@@ -276,3 +281,49 @@ def check_across(
         *check_estimators(choices),
         *check_requested(choices, estimators),
     ]
+
+
+def complete_rotors(
+    on_board: Mapping[str, Any], aircraft: AircraftSpec | None, flight: Flight | None, wrong: list[str]
+) -> dict[str, Any]:
+    """Return the sensors with the positions and radii of gyration of the aircraft, where the IMU has none.
+
+    Parameters
+    ----------
+    on_board : mapping
+        Kind of sensor -> its spec, or None.
+    aircraft : AircraftSpec or None
+        What flies; None for a script or a table.
+    flight : FlightSpec, ScriptSpec, TableSpec or None
+        The flight; None if it is wrong.
+    wrong : list of str
+        A line is added if the flight has no rotor speeds, or a figure is missing.
+    """
+    imu = on_board["imu"]
+    if imu is None or flight is None or not (imu.vibration.rotor_reference and imu.vibration.by_rotors):
+        return dict(on_board)
+    from bench.io.trajectories.trajectory import has_rotor_speeds
+    from bench.simulation.sensors.rotor_vibration import list_missing
+
+    named = f"[sensors] imu = {imu.name!r}"
+    shaken, table = imu.vibration, isinstance(flight, TableSpec)
+    if not (has_rotor_speeds(flight.path) if isinstance(flight, TableSpec) else aircraft and aircraft.hovers):
+        what = "the table has no columns rotor_speed" if table else "this is no multirotor"
+        wrong.append(f"{named}: [vibration] rotor_accel needs the speeds of four rotors; {what}")
+        return dict(on_board)
+    if aircraft is not None:
+        try:
+            known = rotor_figures(aircraft.folder / f"{aircraft.name}.xml")
+        except FlightError as error:
+            wrong.append(str(error))
+            return dict(on_board)
+        if not any(getattr(shaken, name) for name in _PLACE):
+            known |= dict(zip(_PLACE, aircraft.imu_b, strict=True))
+        given = {name: value for name, value in known.items() if not getattr(shaken, name)}
+        shaken = replace(shaken, **given)
+    if shaken.inner_rate % flight.rate:
+        rates = f"inner_rate_hz = {shaken.inner_rate:g} Hz must be a multiple of rate_hz = {flight.rate:g} Hz"
+        wrong.append(f"{named}: [vibration] {rates}")
+    if missing := list_missing(shaken):
+        wrong.append(f"{named}: [vibration] vibration by rotors needs {', '.join(missing)} above 0")
+    return {**on_board, "imu": replace(imu, vibration=shaken)}

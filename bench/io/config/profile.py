@@ -25,7 +25,7 @@ from bench.core.records.sensor_specs import AssumedSpecs, SensorsSpec
 from bench.core.records.specs import CLIENT, DEFAULT_GUARD, EstimatorChoice, Guard, Guidance, Profile
 from bench.core.words.exceptions import ConfigError
 from bench.core.words.wording import suggest
-from bench.io.config import checks, external_truth, fault_tables, leg_checks, rotor_shaking
+from bench.io.config import checks, external_truth, fault_tables, leg_checks
 from bench.io.config.datasheets import MODIFIED, SENSORS
 from bench.io.config.library import (
     find_aircraft,
@@ -152,7 +152,7 @@ def read_profile(
         with collect_errors(wrong, f"{shown}: "):
             flight = external[1](table, beside)
     end, has_air = math.inf if table.duration_s is None else table.duration_s, "trajectory" not in document
-    on_board = rotor_shaking.complete_rotors(on_board, aircraft, flight, across)
+    on_board = checks.complete_rotors(on_board, aircraft, flight, across)
     across += fault_tables.check_faults(table.fault, on_board, end)
     across += checks.check_across(table, on_board, choices, estimators or (), has_air=has_air)
     wrong += [f"{shown}: {line}" for line in across]

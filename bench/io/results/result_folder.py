@@ -28,7 +28,7 @@ from bench.core.records.data import (
 )
 from bench.core.records.fields import columns_of
 from bench.core.records.instruments import INSTRUMENTS, InstrumentData
-from bench.core.records.rotors import Rotors, no_rotors
+from bench.core.records.rotor_speeds import Rotors, no_rotors
 from bench.core.records.run_records import (
     ErrorSeries,
     OffPath,

@@ -25,7 +25,7 @@ from bench.core.files.places import cache_folder, locate_source
 from bench.core.files.scratch import LOCK, make_scratch
 from bench.core.records.data import AirData, Controls, Events, Trajectory
 from bench.core.records.flight_specs import Flight, FlightSpec, ScriptSpec
-from bench.core.records.rotors import Rotors
+from bench.core.records.rotor_speeds import Rotors
 from bench.io.results.cache_size import hold_entry, read_hashed, read_limit, trim_cache, write_hashed
 from bench.io.results.provenance import list_versions
 
@@ -59,7 +59,7 @@ SOURCES = (
     "bench/core/mathematics/arrays.py",
     "bench/core/records/data.py",
     "bench/core/records/flight_specs.py",
-    "bench/core/records/rotors.py",
+    "bench/core/records/rotor_speeds.py",
     "bench/core/mathematics/random_streams.py",
 )
 """Files and folders that truth depends on."""

@@ -34,7 +34,7 @@ from bench.core.mathematics.rotation import (
 from bench.core.mathematics.units import FACTORS, STANDARD_GRAVITY, split_unit
 from bench.core.records.data import EventRow, Events, Trajectory
 from bench.core.records.flight_specs import TableSpec, TrackSpec
-from bench.core.records.rotors import ROTORS
+from bench.core.records.rotor_speeds import ROTORS
 from bench.core.words.exceptions import ConfigError
 from bench.io.logs.table_files import (
     TableColumns,

@@ -26,7 +26,7 @@ from bench.core.mathematics.arrays import FloatArray, split_last
 from bench.core.mathematics.earth import matrix_en, to_geodetic
 from bench.core.mathematics.rotation import conjugate, continuous, from_matrix, multiply, rotate
 from bench.core.records.data import EventRow
-from bench.core.records.rotors import ROTORS
+from bench.core.records.rotor_speeds import ROTORS
 from bench.core.words.exceptions import FlightError
 from bench.simulation.flight.executive import find_property
 from bench.simulation.flight.guidance.shaping import GUIDANCE_RATE

@@ -9,7 +9,7 @@ import numpy as np
 
 from bench.core.mathematics.arrays import FloatArray
 from bench.core.records.data import AirData, Controls, EventRow, Events, Trajectory
-from bench.core.records.rotors import Rotors, no_rotors
+from bench.core.records.rotor_speeds import Rotors, no_rotors
 from bench.simulation.flight.guidance.shaping import GUIDANCE_RATE
 from bench.simulation.flight.increments import Motion, earth_relative, step_increments, true_integrals
 

@@ -52,9 +52,10 @@ def check_imu(spec: ImuSpec) -> list[str]:
 
 
 def _check_rotors(spec: VibrationSpec) -> list[str]:
-    if spec.inner_rate and not spec.by_rotors:
+    shaken = max(spec.rotor_accel_1, spec.rotor_accel_2, spec.rotor_accel_4) > 0
+    if spec.inner_rate and not shaken:
         return ["[vibration] inner_rate_hz has no effect without rotor_accel_*_mg"]
-    if spec.by_rotors and spec.rotor_reference <= 0:
+    if shaken and spec.rotor_reference <= 0:
         return ["[vibration] vibration by rotors needs rotor_reference_rpm above 0"]
     return []
 

@@ -29,7 +29,7 @@ from bench.core.compilation.compiled import kernel
 from bench.core.files import disk_arrays
 from bench.core.mathematics.arrays import FloatArray
 from bench.core.records.data import Trajectory
-from bench.core.records.rotors import AHEAD, RIGHT, ROTORS, SENSES
+from bench.core.records.rotor_speeds import AHEAD, RIGHT, ROTORS, SENSES
 from bench.core.records.sensor_specs import VibrationSpec
 from bench.core.words.exceptions import ConfigError
 from bench.simulation.sensors.draws import SensorDraws

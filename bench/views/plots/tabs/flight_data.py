@@ -25,7 +25,7 @@ from bench.core.records.findings.series import (
     thin,
 )
 from bench.core.records.instruments import INSTRUMENTS, Instrument
-from bench.core.records.rotors import ROTORS
+from bench.core.records.rotor_speeds import ROTORS
 from bench.views.plots.content import Content, Tab
 
 
@@ -71,12 +71,7 @@ def _plots(content: Content) -> Mapping[str, Rows]:
     ]
     power = [draw_line("throttle", controls.t, 100.0 * controls.throttle, "throttle", blue)]
     engine = [draw_line("speed", air.t, air.engine_speed * 30.0 / np.pi, "engine speed", red)]
-    if isinstance(truth, Trajectory) and len(truth.rotors):
-        spin = disk_arrays.take(truth.rotors.speed, keep) * 30.0 / np.pi
-        engine = [
-            draw_line(place, t, spin[:, k], place.replace("_", " "), ESTIMATORS[k])
-            for k, place in enumerate(ROTORS)
-        ]
+    engine = (_draw_rotors(truth, keep) if isinstance(truth, Trajectory) else []) or engine
     groups = [
         [("altitude", "Altitude [m]", altitude), ("speed", "Speed [m/s]", speed)],
         [("attitude", "Roll and pitch [deg]", attitude), ("heading", "Heading [deg]", heading)],
@@ -95,6 +90,17 @@ def _plots(content: Content) -> Mapping[str, Rows]:
         ]
         rows.append([Plot(("flight", name), title, series) for name, title, series in filled if series])
     return {"": [row for row in rows if row]}
+
+
+def _draw_rotors(truth: Trajectory, keep: Any) -> list[Series]:
+    """Return the speeds of the rotors [rpm] at some rows; none if there are no rotors."""
+    if not len(truth.rotors):
+        return []
+    t, speed = (disk_arrays.take(column, keep) for column in (truth.t, truth.rotors.speed * 30.0 / np.pi))
+    return [
+        draw_line(place, t, speed[:, k], place.replace("_", " "), ESTIMATORS[k])
+        for k, place in enumerate(ROTORS)
+    ]
 
 
 def _trace(row: Instrument, record: Any) -> list[Series]:
