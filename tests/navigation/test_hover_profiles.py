@@ -7,9 +7,12 @@ import pytest
 
 import bench
 from bench import pipeline
+from bench.core.records.rotor_speeds import ROTORS
 from bench.core.words.exceptions import ConfigError
 from bench.io.config import read_profile
 from bench.navigation.error_state_filter.rough_heading import UNKNOWN_HEADING_SD
+from bench.views.plots.content import gather_content
+from bench.views.plots.tabs.flight_data import FLIGHT
 
 SHORT = {
     "leg": [
@@ -46,6 +49,11 @@ def test_the_heading_is_found_by_the_first_accelerations_or_at_once_by_a_magneto
         error_deg = np.rad2deg(np.abs(one.phi_n[-1, 2]))
         assert error_deg < 3.0 * sd_deg[label][-1]
         assert sd_deg[label][-1] < 8.0
+    shown = {plot.path[-1]: plot for row in FLIGHT.plots(gather_content(found))[""] for plot in row}
+    speeds = found.truth.rotors.speed * 30.0 / np.pi
+    assert [line.names for line in shown["engine"].series] == [(place.replace("_", " "),) for place in ROTORS]
+    for line, speed in zip(shown["engine"].series, speeds.T, strict=True):
+        assert np.abs(line.values[:, 0] - np.interp(line.t, found.truth.t, speed)).max() < 1e-9
 
 
 WRONG = [

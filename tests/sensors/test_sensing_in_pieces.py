@@ -14,6 +14,7 @@ from numpy.testing import assert_array_equal
 
 import bench
 from bench.core.records.data import AirData, SensorData, Trajectory
+from bench.core.records.rotor_speeds import Rotors
 from bench.core.records.sensor_specs import (
     AssumedSpecs,
     ImuSpec,
@@ -86,7 +87,9 @@ def cut(truth: Trajectory, ticks: list[int]) -> list[Trajectory]:
         instants = {name: getattr(truth, name)[first : last + 1] for name in ("t", "lla", "vel_n", "q_nb")}
         steps = {name: getattr(truth, name)[first:last] for name in ("dtheta_b", "dvel_b")}
         air = {f.name: getattr(truth.air, f.name)[begin : end + 1] for f in fields(AirData)}
-        pieces.append(replace(truth, air=AirData(**air), **instants, **steps))
+        spun = slice(first, last + 1) if len(truth.rotors) else slice(0)
+        rotors = Rotors(truth.rotors.t[spun], truth.rotors.speed[spun])
+        pieces.append(replace(truth, air=AirData(**air), **instants, **steps, rotors=rotors))
         begin = end
     return pieces
 
@@ -128,6 +131,18 @@ TICKS = TICKS[: int(np.searchsorted(np.cumsum(TICKS), 1180))]
 FEW = [1, 1, 20, 3, 1, 30, 2, 11, 4, 40] * 20
 FEW = FEW[: int(np.searchsorted(np.cumsum(FEW), 1180))]
 KINDS = sorted({path.parent.name for path in UNITS})
+
+
+def test_rotors_that_change_their_speed_shake_the_imu_in_order_of_time(begin):
+    """Beside the engine and the gusts, with every error, in 20 parts of each sample."""
+    speed = 300.0 + np.random.default_rng(5).normal(size=(len(begin.t), 4)).cumsum(axis=0)
+    tones = replace(
+        EVERY_TERM.vibration, rotor_accel_1=1.0, rotor_accel_2=2.0, rotor_accel_4=0.5, rotor_reference=300.0,
+        rotor_forward=0.12, rotor_right=0.12, gyration_x=0.09, gyration_y=0.09, gyration_z=0.12,
+        inner_rate=20.0 * round((len(begin.t) - 1) / begin.t[-1]),
+    )  # fmt: skip
+    truth = replace(begin, rotors=Rotors(begin.t, np.abs(speed)))
+    assert_same_bits(truth, on_board(replace(EVERY_TERM, vibration=tones)), FEW[:32])
 
 
 def sense_units(truth, kind, ticks):
