@@ -12,6 +12,7 @@ from bench.io.config.library import read_aircraft, read_jsbsim_aircraft
 from bench.io.config.listing import list_aircraft
 from bench.simulation.flight.executive import load_aircraft
 from bench.simulation.flight.hover_trim import trim_hover
+from bench.simulation.flight.model_files import rotor_figures
 from bench.simulation.flight.trimming import TrimCondition, trim_aircraft
 
 AIRCRAFT = Path(__file__).parents[2] / "aircraft"
@@ -77,3 +78,35 @@ def test_every_file_names_its_sources_and_one_imu_is_off_the_center_of_gravity()
         assert ("IMU off" in listed[name]) == any(spec.imu_b)
         assert (spec.rest_height is not None) == ("takes off and lands" in listed[name])
     assert any(any(spec.imu_b) for spec in OWN.values())
+
+
+MODEL = """<fdm_config><mass_balance>
+<ixx unit="SLUG*FT2"> 0.02 </ixx><iyy unit="KG*M2"> 0.09 </iyy><izz> {izz} </izz>
+<emptywt> {weight} </emptywt>{more}</mass_balance><system name="guidance">
+<property value="0.25"> rotor/arm-forward-m </property><property value="{right}"> rotor/arm-right-m </property>
+<sum><property> rotor/arm-forward-m </property></sum></system></fdm_config>"""
+
+
+@pytest.mark.parametrize(
+    ("changes", "lacks"),
+    [
+        ({}, set()),
+        ({"right": "wide"}, {"rotor_right"}),
+        ({"izz": "-1"}, {"gyration_z"}),
+        ({"weight": "0"}, {"gyration_x", "gyration_y", "gyration_z"}),
+        ({"more": '<pointmass name="load"/>'}, {"gyration_x", "gyration_y", "gyration_z"}),
+    ],
+)
+def test_arms_and_radii_of_a_model_are_si_and_what_it_does_not_declare_is_left_out(tmp_path, changes, lacks):
+    """By hand: 0.02 slug ft^2 = 0.0271164 kg m^2, 2 lb = 0.907185 kg."""
+    values = {"izz": "0.04", "weight": "2.0", "right": "0.3", "more": ""} | changes
+    (tmp_path / "own.xml").write_text(MODEL.format(**values))
+    expected = {
+        "rotor_forward": 0.25,
+        "rotor_right": 0.3,
+        "gyration_x": (0.0271164 / 0.907185) ** 0.5,
+        "gyration_y": (0.09 / 0.907185) ** 0.5,
+        "gyration_z": (2 * 0.0271164 / 0.907185) ** 0.5,
+    }
+    found = rotor_figures(tmp_path / "own.xml")
+    assert found == pytest.approx({name: expected[name] for name in expected.keys() - lacks}, rel=1e-5)

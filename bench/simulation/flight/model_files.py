@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -221,23 +222,23 @@ def rotor_figures(model: Path) -> dict[str, float]:
     FlightError
         When the model cannot be read.
     """
-    root, found = read_xml(model, model.name), {}
-    for one in root.iter("property"):
-        name = (one.text or "").strip()
-        if name in _ARMS and one.get("value"):
-            found[_ARMS[name]] = _number(one.get("value"))
+    root = read_xml(model, model.name)
+    set_here = ((one, (one.text or "").strip()) for one in root.iter("property") if one.get("value"))
+    found = {_ARMS[name]: _number(one.get("value")) for one, name in set_here if name in _ARMS}
     balance = root.find("mass_balance")
-    weight = None if balance is None else balance.find("emptywt")
-    if balance is None or weight is None or balance.find("pointmass") is not None:
-        return found
-    mass = _KILOGRAMS.get(weight.get("unit", "LBS"), math.nan) * _number(weight.text)
-    for axis in "xyz":
-        moment = balance.find(f"i{axis}{axis}")
-        if moment is not None:
-            inertia = _INERTIAS.get(moment.get("unit", "SLUG*FT2"), math.nan) * _number(moment.text)
-            if inertia > 0 and mass > 0:
-                found[f"gyration_{axis}"] = math.sqrt(inertia / mass)
-    return found
+    if balance is not None and balance.find("pointmass") is None:
+        mass = _measure(balance.find("emptywt"), _KILOGRAMS, "LBS")
+        for axis in "xyz":
+            inertia = _measure(balance.find(f"i{axis}{axis}"), _INERTIAS, "SLUG*FT2")
+            found[f"gyration_{axis}"] = math.sqrt(max(inertia / mass, 0.0)) if mass else math.nan
+    return {name: value for name, value in found.items() if 0.0 < value < math.inf}
+
+
+def _measure(element: ElementTree.Element | None, units: Mapping[str, float], usual: str) -> float:
+    """Return the number of an element in SI; NaN if there is none, or its unit is not known."""
+    if element is None:
+        return math.nan
+    return units.get(element.get("unit", usual), math.nan) * _number(element.text)
 
 
 def _number(text: str | None) -> float:
