@@ -83,7 +83,8 @@ def test_every_file_names_its_sources_and_one_imu_is_off_the_center_of_gravity()
 MODEL = """<fdm_config><mass_balance>
 <ixx unit="SLUG*FT2"> 0.02 </ixx><iyy unit="KG*M2"> 0.09 </iyy><izz> {izz} </izz>
 <emptywt> {weight} </emptywt>{more}</mass_balance><system name="guidance">
-<property value="0.25"> rotor/arm-forward-m </property><property value="{right}"> rotor/arm-right-m </property>
+<property value="0.25"> rotor/arm-forward-m </property>
+<property value="{right}"> rotor/arm-right-m </property>
 <sum><property> rotor/arm-forward-m </property></sum></system></fdm_config>"""
 
 
