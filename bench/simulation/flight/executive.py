@@ -63,6 +63,8 @@ def load_aircraft(aircraft: AircraftSpec, dt: float, *, rough: bool = False) -> 
         if not aircraft.guided:
             write_xml(_add_guidance(aircraft, model), copy / "guidance.xml")
             write_xml(model, copy / f"{aircraft.name}.xml")
+        for named in model.findall("external_reactions[@file]"):
+            _add_shared(aircraft.systems, named.get("file", ""), copy)
         systems = aircraft.systems if aircraft.guided else root / "systems"
         fdm = _start(scratch, root / "engine", systems, dt, f"aircraft {aircraft.name}", start)
     gains = {**aircraft.gains, **aircraft.rough_gains} if rough else aircraft.gains
@@ -158,6 +160,13 @@ def _add_guidance(aircraft: AircraftSpec, model: ElementTree.Element) -> Element
             for n in range(engines):
                 ElementTree.SubElement(component, "output").text = f"fcs/throttle-cmd-norm[{n}]"
     return guidance
+
+
+def _add_shared(systems: Path, name: str, copy: Path) -> None:
+    """Add to a copied aircraft the external reactions that it names and that lie in the systems folder."""
+    file = f"{name}.xml"
+    if not (copy / file).is_file() and (systems / file).is_file():  # JSBSim looks in the aircraft folder
+        write_xml(read_xml(systems / file, file), copy / file)
 
 
 def _check_property(aircraft: AircraftSpec, key: str, name: str) -> None:

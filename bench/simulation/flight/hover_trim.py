@@ -34,6 +34,7 @@ _AIRFRAME = (
     "rotor/thrust-n_s2",
     "rotor/torque-nm_s2",
     "rotor/lag-rad_sec",
+    "rotor/lag-down-rad_sec",
     "rotor/most-rad_sec",
     "rotor/arm-forward-m",
     "rotor/arm-right-m",
@@ -66,7 +67,8 @@ def trim_hover(fdm: Any, condition: TrimCondition, max_tilt: float, say: Say = k
     FlightError
         When it hovers at no tilt below ``max_tilt`` [rad].
     """
-    lag, most = fdm["rotor/lag-rad_sec"], fdm["rotor/most-rad_sec"]
+    lag = min(fdm["rotor/lag-rad_sec"], fdm["rotor/lag-down-rad_sec"])
+    most = fdm["rotor/most-rad_sec"]
     steps = math.ceil(_LAGS / lag / fdm.get_delta_t())
     fdm["guidance/direct-share"] = 1.0
 
