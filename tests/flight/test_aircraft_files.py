@@ -5,6 +5,7 @@ from __future__ import annotations
 from math import radians
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from bench.core.records.flight_specs import AircraftSpec
@@ -34,15 +35,16 @@ ROTORS = [name for name, spec in OWN.items() if spec.hovers]
 @pytest.mark.parametrize("name", ROTORS)
 @pytest.mark.parametrize("wind", [0.0, 8.0])
 def test_a_multirotor_hovers_in_still_air_and_in_wind(name, wind):
-    """Nothing is left of six accelerations, with half of the speed of every rotor to spare."""
+    """Nothing is left of six accelerations, with a tenth of the speed of every rotor to spare."""
     spec = OWN[name]
     fdm = load_aircraft(spec, 1 / 400)
     for alt in (100.0, 2000.0):
         condition = TrimCondition(radians(47.0), radians(11.0), alt, 1.0, 0.0, wind_n=(0.0, wind, 0.0))
         found = trim_hover(fdm, condition, spec.max_bank)
         assert found.residual < 1e-9
-        assert 0.1 < min(found.speeds) / fdm["rotor/most-rad_sec"] <= max(found.speeds) / 1500.0 < 0.5
-        assert (abs(found.roll) + abs(found.pitch) > radians(10.0)) == (wind > 0.0)
+        share = np.array(found.speeds) / fdm["rotor/most-rad_sec"]
+        assert (0.1 < share).all() and (share < 0.9).all()
+        assert (abs(found.roll) + abs(found.pitch) > radians(3.0)) == (wind > 0.0)
 
 
 @pytest.mark.parametrize("name", WINGS)

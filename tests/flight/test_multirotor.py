@@ -15,7 +15,7 @@ from bench.core.mathematics.arrays import FloatArray
 from bench.core.mathematics.earth import matrix_en, to_ecef
 from bench.core.mathematics.rotation import to_euler
 from bench.core.records.data import Trajectory
-from bench.core.records.flight_specs import MULTIROTOR, FlightSpec, Leg, LegStart, Runway
+from bench.core.records.flight_specs import MULTIROTOR, AircraftSpec, FlightSpec, Leg, LegStart, Runway
 from bench.core.records.rotor_speeds import no_rotors
 from bench.core.words.exceptions import ConfigError, FlightError
 from bench.io.config.library import read_aircraft
@@ -31,7 +31,12 @@ from tests.flight.inertial import replay
 from tests.flight.plans import AEROSONDE, fly_here
 from tests.flight.test_aircraft_files import AIRCRAFT
 
-HUMMINGBIRD = read_aircraft(AIRCRAFT / "hummingbird", AIRCRAFT)
+HUMMINGBIRD, X500 = FRAMES = [read_aircraft(AIRCRAFT / name, AIRCRAFT) for name in ("hummingbird", "x500")]
+MASS = {"hummingbird": 0.5, "x500": 2.0643077}  # [kg]
+THRUST = {"hummingbird": 5.57e-6, "x500": 8.54858e-6}  # [N s^2]
+TILT = {"hummingbird": (45.0, 60.5), "x500": (25.0, 45.0)}  # of the sprint, between [deg]
+LEAN = {"hummingbird": 25.2, "x500": 5.4}  # in 8 m/s of wind [deg]
+PER_FRAME = pytest.mark.parametrize("aircraft", FRAMES, ids=lambda one: one.name)
 PAD = Runway(radians(47.26), radians(11.34), 600.0, 0.6)
 AIR = 610.0  # where a flight in the air begins [m]
 
@@ -93,30 +98,35 @@ TOUR = (
 )
 
 
+@pytest.fixture(scope="module", params=FRAMES, ids=lambda one: one.name)
+def frame(request):
+    return request.param
+
+
 @pytest.fixture(scope="module")
-def tour() -> Flown:
-    return Flown(fly_here(plan(*TOUR, on_ground=True)))
+def tour(frame) -> Flown:
+    return Flown(fly_here(plan(*TOUR, on_ground=True, aircraft=frame)))
 
 
-def test_a_calm_tour_is_flown_as_its_legs_say(tour):
+def test_a_calm_tour_is_flown_as_its_legs_say(frame, tour):
     """Ends of the legs, read from the truth: the plane of the pad, of which the start is the origin."""
     ends = [tour.ned[tour.leg(k)][-1] for k in range(1, len(TOUR) + 1)]
     takeoff, hover, north, corner, yaw, orbit = ends[1:7]
     for found, height in ((takeoff, 10.0), (hover, 10.0)):
-        assert np.abs(found - [0.0, 0.0, -height + 0.098]).max() < 0.05
-    assert np.abs(north - [40.0, 0.0, -9.902]).max() < 0.05
-    assert np.abs(corner - [40.0, 30.0, -13.902]).max() < 0.05
+        assert np.abs(found - [0.0, 0.0, -height + frame.rest_height]).max() < 0.05
+    assert np.abs(north - [40.0, 0.0, frame.rest_height - 10.0]).max() < 0.05
+    assert np.abs(corner - [40.0, 30.0, frame.rest_height - 14.0]).max() < 0.05
     assert np.abs(yaw - corner).max() < 0.05
     assert np.abs(orbit - corner).max() < 0.1
     sprint = ends[7] - orbit
     course = tour.heading[tour.leg(8)][0]
     assert np.abs(sprint - 130.0 * np.array([np.cos(course), np.sin(course), 0.0])).max() < 0.2
-    assert -ends[9][2] == pytest.approx(29.9, abs=0.05)
-    assert -ends[10][2] == pytest.approx(5.9, abs=0.05)
+    assert -ends[9][2] == pytest.approx(30.0 - frame.rest_height, abs=0.05)
+    assert -ends[10][2] == pytest.approx(6.0 - frame.rest_height, abs=0.05)
     assert abs(ends[12][2]) < 0.005
 
 
-def test_a_calm_hover_and_its_paths_keep_their_bounds(tour):
+def test_a_calm_hover_and_its_paths_keep_their_bounds(frame, tour):
     """A hover 0.05 m; at 6 m/s 0.5 m across the way, in the sprint 1 m, and all within the limit of tilt."""
     hover = tour.ned[tour.leg(3)]
     assert np.abs(hover[400:] - hover[-1]).max() < 0.05
@@ -126,7 +136,7 @@ def test_a_calm_hover_and_its_paths_keep_their_bounds(tour):
     across = (sprint - sprint[0]) @ [-np.sin(course), np.cos(course), 0.0]
     assert np.abs(across).max() < 1.0
     assert np.ptp(sprint[:, 2]) < 0.5
-    assert 45.0 < tour.tilt().max() < 60.5
+    assert TILT[frame.name][0] < tour.tilt().max() < TILT[frame.name][1]
     speed = np.hypot(*tour.truth.vel_n[tour.leg(8)].T[:2])
     assert 14.5 < speed.max() < 15.6
 
@@ -163,13 +173,14 @@ def shifted(truth: Trajectory) -> Trajectory:
     return dataclasses.replace(truth, t=truth.t - truth.t[0])
 
 
-def test_air_data_and_rotor_speeds_are_those_of_a_hover(tour):
+def test_air_data_and_rotor_speeds_are_those_of_a_hover(frame, tour):
     """The weight by the published thrust; no angle of attack where there is no flow; no control surfaces."""
     air, t = tour.truth.air, tour.truth.air.t
     begin, end, _ = tour.truth.events.select("leg")[2]
     rows = (t > begin + 2.0) & (t < end)
     density = air.pressure[rows] / (287.05287 * air.temperature[rows])
-    expected = np.sqrt(0.5 * 9.8062 / 4 / 5.57e-6 * 1.225 / density)
+    weight = MASS[frame.name] * 9.8062
+    expected = np.sqrt(weight / 4 / THRUST[frame.name] * 1.225 / density)
     assert np.abs(air.engine_speed[rows] / expected - 1).max() < 1e-3
     rotors = tour.truth.rotors
     mean = np.interp(t, rotors.t, rotors.speed.mean(axis=1))
@@ -191,17 +202,20 @@ def turned_by_lift_off(**air) -> tuple[float, Flown]:
     return float(np.rad2deg(np.abs(off)).max()), flown
 
 
-def test_a_lift_off_in_wind_keeps_its_heading():
-    """8 m/s from the side: the weight is taken at once, the tilt of 26 deg within a second."""
-    turned, flown = turned_by_lift_off()
+@PER_FRAME
+def test_a_lift_off_in_wind_keeps_its_heading(aircraft):
+    """8 m/s from the side: the weight is taken at once, the tilt within a second."""
+    turned, flown = turned_by_lift_off(aircraft=aircraft)
     assert 0.01 < turned < 3.0
-    assert flown.tilt()[-1] == pytest.approx(25.2, abs=1.0)
+    assert flown.tilt()[-1] == pytest.approx(LEAN[aircraft.name], abs=1.0)
     assert np.hypot(*flown.ned[-1, :2]) < 0.05
 
 
 @pytest.mark.long
-def test_a_lift_off_in_wind_and_moderate_air_keeps_its_heading_over_ten_seeds():
-    assert max(turned_by_lift_off(severity=4, turbulence_seed=seed)[0] for seed in range(10)) < 3.0
+@PER_FRAME
+def test_a_lift_off_in_wind_and_moderate_air_keeps_its_heading_over_ten_seeds(aircraft):
+    air = {"aircraft": aircraft, "severity": 4}
+    assert max(turned_by_lift_off(turbulence_seed=seed, **air)[0] for seed in range(10)) < 3.0
 
 
 def test_it_takes_off_again_from_ground_that_is_no_runway():
@@ -220,25 +234,28 @@ def test_a_steep_way_keeps_the_limits_of_climb_and_descent():
     assert sink.max() == pytest.approx(HUMMINGBIRD.max_descent, abs=0.1)
 
 
-def hold_in_moderate_air(seed: int, wind: float = 0.0) -> tuple[float, float]:
+def hold_in_moderate_air(aircraft: AircraftSpec, seed: int, wind: float = 0.0) -> tuple[float, float]:
     """Return rms and largest horizontal distance of a minute's hover [m]."""
-    spec = plan(Hover(60.0), severity=4, turbulence_seed=seed, wind_speed=wind, rate=100.0)
+    air = {"severity": 4, "turbulence_seed": seed, "wind_speed": wind}
+    spec = plan(Hover(60.0), aircraft=aircraft, rate=100.0, **air)
     ned = Flown(fly_here(spec)).ned
     off = np.hypot(*ned.T[:2])
     assert np.abs(ned[:, 2]).max() < 0.5
     return float(np.sqrt(np.mean(off**2))), float(off.max())
 
 
-def test_moderate_air_is_held():
-    rms, largest = hold_in_moderate_air(3)
+@PER_FRAME
+def test_moderate_air_is_held(aircraft):
+    rms, largest = hold_in_moderate_air(aircraft, 3)
     assert 0.01 < rms < 0.5
     assert largest < 1.5
 
 
 @pytest.mark.long
+@PER_FRAME
 @pytest.mark.parametrize("wind", [0.0, 5.0])
-def test_moderate_air_is_held_over_ten_seeds(wind):
-    found = np.array([hold_in_moderate_air(seed, wind) for seed in range(10)])
+def test_moderate_air_is_held_over_ten_seeds(aircraft, wind):
+    found = np.array([hold_in_moderate_air(aircraft, seed, wind) for seed in range(10)])
     assert (found < [0.5, 1.5]).all(), found
 
 
@@ -290,6 +307,7 @@ def test_a_heavier_multirotor_of_somebody_hovers_by_its_own_figures(own):
 
 BROKEN = [
     ('value="200.0"> rotor/lag', 'value="0"> rotor/lag', "rotor/lag-rad_sec must be above 0; it is 0"),
+    ('value="200.0"> rotor/lag-down', 'value="0"> rotor/lag-down', "rotor/lag-down-rad_sec must be above 0"),
     ("yaw-gain         = 3.0", "yaw-gain         = 0.0", "guidance/yaw-gain must be above 0; it is 0"),
 ]
 
