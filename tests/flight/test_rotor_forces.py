@@ -71,9 +71,9 @@ def test_the_x500_has_the_mass_and_the_loads_of_its_source():
     assert_allclose(moment, expected_moment, rtol=1e-4, atol=1e-5)
 
 
-# Means of three kinds of rows of the NeuroBEM data set (University of Zurich; a quadrotor of 0.772 kg in a hall
-# with motion capture), read in a public subset: andyska09/mrs-BEM, NeuroBEM/CMAES-dataset/subset_20k.csv,
-# after 0, 2.5 and 8.9 million characters, without most rows that turn faster than 3.4 rad/s.
+# Means of three kinds of rows of the NeuroBEM data set (University of Zurich; a quadrotor of 0.772 kg in a
+# hall), read in a public subset: andyska09/mrs-BEM, NeuroBEM/CMAES-dataset/subset_20k.csv, after 0, 2.5 and
+# 8.9 million characters; they turn slower than 3.5 rad/s, and none is 0.01 s after another for long.
 # rows, motion in the plane of the rotors [m/s], rotor speed [rad/s], deceleration along that motion [m/s^2]
 LOG = [(11, 2.57, 1123.0, 0.521), (24, 6.90, 1397.0, 2.133), (24, 8.77, 1933.0, 4.009)]
 LOG_HOVER, LOG_FELT = 1136.8, 9.808  # eight rows of a hover: rotor speed [rad/s], specific force up [m/s^2]
@@ -83,7 +83,7 @@ LOG_DRAG = 4.28e-5  # fitted to the first two kinds of rows, speed by speed [kg/
 
 @pytest.fixture
 def flown(tmp_path) -> AircraftSpec:
-    """The quadrotor of the log by the figures of its authors (params.h of that repository), its drag fitted."""
+    """The quadrotor of the log by the figures of its authors (params.h there), its drag fitted."""
     changes = {
         '"KG"> 0.5 <': f'"KG"> {LOG_MASS} <',
         "3.65e-3": "2.54e-3",
