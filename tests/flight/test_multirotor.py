@@ -324,7 +324,7 @@ MISTAKES = [
         "min_speed_mps   = 2.0",
         "min_speed_mps = 2 m/s must be 0 with kind = 'multirotor'",
     ),
-    ('kind  = "multirotor"', "", "min_speed_mps = 0 m/s is below 1 m/s; 0 is for kind = 'multirotor'"),
+    ('kind  = "multirotor"', "", "min_speed_mps = 0 m/s is below 1 m/s; 0 is for what hovers"),
     ("[stand] ", "[[trim]]\nalt_m = 1.0\nspeed_mps = 5.0\n\n[stand] ", "[trim] is not used with kind"),
     ('<system file="multirotor"/>', "", "the model must name <system file='multirotor'/>"),
 ]
@@ -351,8 +351,12 @@ class Drop(Leg):
 
 REFUSED = [
     (HUMMINGBIRD, Straight(5.0), "is flown by an aircraft with wings, and the hummingbird is none"),
-    (AEROSONDE, Hover(5.0), "is flown by a multirotor, and the aerosonde is none"),
-    (HUMMINGBIRD, Climb(700.0, 2.0, speed=5.0), "speed_mps = 5 m/s is an airspeed, which a multirotor"),
+    (AEROSONDE, Hover(5.0), "is flown by a multirotor or a helicopter, and the aerosonde is none"),
+    (
+        HUMMINGBIRD,
+        Climb(700.0, 2.0, speed=5.0),
+        "speed_mps = 5 m/s is an airspeed, which the hummingbird does not hold",
+    ),
     (HUMMINGBIRD, TakeOff(10.0, 2.0, 5.0), "speed_mps = 5 m/s is not used by a multirotor"),
     (AEROSONDE, TakeOff(50.0, 2.0), "speed_mps is missing"),
     (AEROSONDE, TakeOff(10.0, 2.0, 25.0), "to_height_m = 10 m is below the 20 m of an aircraft with wings"),

@@ -16,10 +16,12 @@ SPEEDS = (1, 400)  # lowest and highest true airspeed [m/s]
 HEIGHTS = (0.01, 20)  # of a center of gravity above the ground at rest [m]
 BANKS = (1, 80)  # smallest and largest bank of a turn [deg]
 CLIMBS = (0.1, 100)  # smallest and largest vertical speed, up or down [m/s]
-FIXED_WING, MULTIROTOR, GLIDER = "fixed-wing", "multirotor", "glider"
+FIXED_WING, MULTIROTOR, GLIDER, HELICOPTER = "fixed-wing", "multirotor", "glider", "helicopter"
 """Kinds of aircraft of the bench."""
 WINGS = (FIXED_WING, GLIDER)
 """Kinds that fly by airspeed."""
+ROTORCRAFT = (MULTIROTOR, HELICOPTER)
+"""Kinds that hover."""
 MESH_OF_CLASS = {"uav": "uav", "light": "light-single", "transport": "jet", "fighter": "jet"}
 """Class of aircraft -> simple shape in the recording."""
 
@@ -99,14 +101,14 @@ class AircraftSpec:
     trims: tuple[tuple[float, float], ...] = ()  # altitudes [m] and true airspeeds [m/s] to trim it at
     runway: RunwaySpec | None = None  # None: it starts and ends in the air
     configuration: tuple[str, ...] = ()  # parts that a leg may set: "flaps", "gear"
-    kind: str = FIXED_WING  # MULTIROTOR or GLIDER: its guidance system, trim and legs
-    stand_height: float | None = None  # of a multirotor on its legs [m]
+    kind: str = FIXED_WING  # or one of the others: its guidance system, trim and legs
+    stand_height: float | None = None  # of what hovers on its legs [m]
     envelope: EnvelopeSpec = EnvelopeSpec()
 
     @property
     def hovers(self) -> bool:
         """Return whether it flies without airspeed."""
-        return self.kind == MULTIROTOR
+        return self.kind in ROTORCRAFT
 
     @property
     def glides(self) -> bool:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from importlib.util import find_spec
 from pathlib import Path
 
-from bench.core.records.flight_specs import Flight, ScriptSpec, TableSpec, TrackSpec
+from bench.core.records.flight_specs import ROTORCRAFT, Flight, ScriptSpec, TableSpec, TrackSpec
 from bench.core.words.exceptions import ConfigError, FlightError
 from bench.core.words.wording import quantity, suggest, tell_where
 from bench.io.config.profile_tables import ExperimentTable, ScriptTable, TrackTable, TrajectoryTable
@@ -46,7 +46,7 @@ def list_root_aircraft(root: Path) -> list[str]:
 def has_guidance(model: Path) -> bool:
     """Return whether a model includes the guidance system of bench; False if it cannot be read."""
     try:
-        return not {"guidance", "multirotor"}.isdisjoint(system_files(model))
+        return not {"guidance", *ROTORCRAFT}.isdisjoint(system_files(model))
     except FlightError:
         return False
 

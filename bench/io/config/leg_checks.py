@@ -118,7 +118,7 @@ def check_radar_use(
 def _check_start(table: ProfileTable, aircraft: AircraftSpec) -> list[str]:
     start = table.start
     if aircraft.hovers and table.alignment.kind == "course":
-        return ["[alignment] kind = 'course': the course of a multirotor gives no heading; use 'hover'"]
+        return ["[alignment] kind = 'course': the course of what hovers gives no heading; use 'hover'"]
     if start.on_ground and aircraft.glides:
         return [
             f"[start] on_ground = true: the {aircraft.name} is a glider; start it in the air, as a tow ends"
@@ -145,7 +145,7 @@ def _check_start(table: ProfileTable, aircraft: AircraftSpec) -> list[str]:
         if start.speed_mps is None:
             return []
         what = quantity("speed_mps", start.speed_mps)
-        return [f"[start] {what} is not used: the {aircraft.name} is a multirotor and starts in a hover"]
+        return [f"[start] {what} is not used: the {aircraft.name} is a {aircraft.kind} and starts in a hover"]
     if start.speed_mps is None:
         return [f"[start] speed_mps is missing, and the {aircraft.name} has no [[trim]]"]
     if not aircraft.min_speed <= start.speed_mps <= aircraft.max_speed:

@@ -12,7 +12,6 @@ from bench.core.files.installed import find_folders
 from bench.core.records.flight_specs import (
     GLIDER,
     HEIGHTS,
-    MULTIROTOR,
     SPEEDS,
     WINGS,
     AircraftSpec,
@@ -64,7 +63,7 @@ class _TrimPoint(Table):
 
 
 class _Stand(Table):
-    """How a multirotor rests on its legs."""
+    """How a multirotor or helicopter rests on its legs."""
 
     height_m: Annotated[float, between(*HEIGHTS)]
     """Height of the center of gravity above the ground at rest."""
@@ -77,8 +76,8 @@ class AircraftTable(Table):
     """Title."""
     category: Category = Field(alias="class")
     """Class: shape in the recording, limits of the sanity report."""
-    kind: Literal["fixed-wing", "multirotor", "glider"] = "fixed-wing"
-    """Its guidance system (guidance.xml or multirotor.xml), trim and legs."""
+    kind: Literal["fixed-wing", "multirotor", "glider", "helicopter"] = "fixed-wing"
+    """Its guidance system, trim and legs."""
     source: str = ""
     """Source of the values."""
     assumed: Annotated[tuple[str, ...], ROWS] = ()
@@ -240,7 +239,7 @@ def _make_aircraft(
     wings = table.kind in WINGS
     if wings and limits.min_speed_mps < SPEEDS[0]:
         what = quantity("min_speed_mps", limits.min_speed_mps)
-        raise ConfigError(f"{shown}: [limits] {what} is below {SPEEDS[0]} m/s; 0 is for kind = 'multirotor'")
+        raise ConfigError(f"{shown}: [limits] {what} is below {SPEEDS[0]} m/s; 0 is for what hovers")
     gains = ("rough_air", "rough_flare", "approach")
     not_used: tuple[str, ...] = () if wings else ("trim", "runway", "configuration", "envelope", *gains)
     if table.kind == GLIDER:
@@ -250,9 +249,10 @@ def _make_aircraft(
             raise ConfigError(f"{shown}: [{name}] is not used with kind = {table.kind!r}")
     if not wings and limits.min_speed_mps:
         what = quantity("min_speed_mps", limits.min_speed_mps)
-        raise ConfigError(f"{shown}: [limits] {what} must be 0 with kind = {MULTIROTOR!r}: it hovers")
+        raise ConfigError(f"{shown}: [limits] {what} must be 0 with kind = {table.kind!r}: it hovers")
     if not wings and isinstance(table, ForeignTable):
-        raise ConfigError(f"{shown}: kind = {MULTIROTOR!r}: the model must name <system file='multirotor'/>")
+        kind = table.kind
+        raise ConfigError(f"{shown}: kind = {kind!r}: the model must name <system file={kind!r}/>")
     for number, row in enumerate(table.trim, 1):
         if not limits.min_speed_mps <= row.speed_mps <= limits.max_speed_mps:
             raise ConfigError(
@@ -268,7 +268,7 @@ def _make_aircraft(
     if both := sorted(table.rough_flare.keys() & table.approach):
         raise ConfigError(f"{shown}: {both[0]!r} is in [rough_flare] and [approach]; a landing takes one")
     systems = [place / "systems" for place in (folder.parent, *list_aircraft_folders(beside))]
-    law = "guidance.xml" if wings else "multirotor.xml"
+    law = "guidance.xml" if wings else f"{table.kind}.xml"
     with_guidance = next((place for place in systems if (place / law).is_file()), None)
     if with_guidance is None:
         raise ConfigError(f"{law}: no such file in {', '.join(str(place) for place in systems)}")

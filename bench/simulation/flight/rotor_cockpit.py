@@ -1,4 +1,4 @@
-"""Paths that the legs of a multirotor write to its guidance system, in SI."""
+"""Paths that the legs of a multirotor or a helicopter write to its guidance system, in SI."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from bench.core.mathematics.arrays import FloatArray
 from bench.core.mathematics.earth import matrix_en, to_ecef
-from bench.core.records.flight_specs import FlightSpec
+from bench.core.records.flight_specs import MULTIROTOR, FlightSpec
 from bench.core.words.exceptions import FlightError
 from bench.simulation.flight.guidance.rides import Ride
 from bench.simulation.flight.guidance.shaping import GUIDANCE_RATE, Steps, smooth, ticks
@@ -48,7 +48,8 @@ class RotorCockpit(Panel):
         self._air_share = self.switch("guidance/air-share")
         self._direct_share = self.switch("guidance/direct-share")
         self._direct = [self.switch(f"guidance/direct{k}-rad_sec") for k in ROTORS]
-        self._idle = self.reader("guidance/idle-gain")()
+        multirotor = spec.aircraft.kind == MULTIROTOR  # the blades of a helicopter idle at no pitch
+        self._idle = self.reader("guidance/idle-gain")() if multirotor else 0.0
         self._pos = [self.reader(f"guidance/{axis}-m") for axis in AXES]
         self.true_pitch = self.reader("attitude/theta-rad")
         self._dt = fdm.get_delta_t()
@@ -96,7 +97,7 @@ class RotorCockpit(Panel):
 
     def change_speed(self, speed: float) -> None:
         """Refuse a change of airspeed, which a leg for both kinds of aircraft may ask for."""
-        raise FlightError(f"speed_mps = {speed:g} m/s is an airspeed; a multirotor holds none")
+        raise FlightError(f"speed_mps = {speed:g} m/s is an airspeed; what hovers holds none")
 
     # --- paths
 

@@ -175,8 +175,29 @@ def _make_multirotor() -> Mesh:
     return _join_parts([*parts, (body, _DARK)])
 
 
+def _make_helicopter() -> Mesh:
+    """Return a main rotor on a mast, a body with a boom, and a tail rotor in orange."""
+
+    def make_disk(center: tuple[float, float, float], radius: float, axis: int) -> list[FloatArray]:
+        across = np.roll(np.eye(3), -axis, axis=0)[1:]
+        thick = 0.01 * np.eye(3)[axis]
+        circle = np.array(center) + radius * _CIRCLE[:, 1:] @ across
+        return [circle - thick, circle + thick]
+
+    body = [np.array([x, 0.0, 0.05]) + r * _CIRCLE for x, r in ((0.3, 0.02), (0.1, 0.14), (-0.25, 0.1))]
+    boom = [np.array([x, 0.0, -0.02]) + 0.025 * _CIRCLE for x in (-0.25, -1.04)]
+    mast = make_disk((0.0, 0.0, -0.2), 0.02, 2)
+    mast[0], mast[1] = mast[0] - [0.0, 0.0, 0.12], mast[1] + [0.0, 0.0, 0.15]
+    rotors = (
+        (make_disk((0.0, 0.0, -0.34), 0.7, 2), _WHITE),
+        (make_disk((-1.04, 0.06, -0.1), 0.13, 1), _ORANGE),
+    )
+    return _join_parts([(body, _BODY), (boom, _BODY), (mast, _DARK), *rotors])
+
+
 MESHES = {
     "multirotor": _make_multirotor,
+    "helicopter": _make_helicopter,
     "uav": _make_uav,
     "light-single": _make_light_single,
     "jet": _make_jet,

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
-from bench.core.records.flight_specs import ALTITUDES, CLIMBS, FIXED_WING, MULTIROTOR, LegStart
+from bench.core.records.flight_specs import ALTITUDES, CLIMBS, FIXED_WING, ROTORCRAFT, LegStart
 from bench.core.words.exceptions import FlightError
 from bench.simulation.flight.cockpit import Cockpit
 from bench.simulation.flight.guidance.shaping import Steps, smooth, ticks
@@ -20,7 +20,7 @@ _PATIENCE = 120.0  # how much longer than planned a leg may take [s]
 
 @dataclass(frozen=True)
 class _AltitudeChange(AtSpeed):
-    flown_by = (FIXED_WING, MULTIROTOR)
+    flown_by = (FIXED_WING, *ROTORCRAFT)
     sign: ClassVar[int]  # 1 up, -1 down
     to_alt: Annotated[float, Key("to_alt_m", "ellipsoidal altitude", *ALTITUDES)]
     rate: ClimbRate

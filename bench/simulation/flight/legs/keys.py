@@ -20,7 +20,7 @@ from bench.core.records.flight_specs import (
     CLIMBS,
     FIXED_WING,
     GLIDER,
-    MULTIROTOR,
+    ROTORCRAFT,
     SECONDS,
     SPEEDS,
     AircraftSpec,
@@ -120,12 +120,14 @@ def check_leg(leg: Leg, start: LegStart) -> list[str]:
         if craft.glides and FIXED_WING in leg.flown_by:
             glider = f"the {craft.name} is a glider and sinks; it flies straight, turn, waypoints or thermal"
             return [f"needs an engine, and {glider}"]
-        one = leg.flown_by[0] if len(leg.flown_by) == 1 else FIXED_WING
-        own = {MULTIROTOR: "a multirotor", GLIDER: "a glider"}.get(one, "an aircraft with wings")
+        own = {ROTORCRAFT: "a multirotor or a helicopter", (GLIDER,): "a glider"}.get(leg.flown_by)
+        own = own or "an aircraft with wings"
         instead = "hover, goto, sprint or orbit" if craft.hovers else "straight, turn, waypoints or holding"
         return [f"is flown by {own}, and the {craft.name} is none; it flies {instead}"]
     if craft.hovers and isinstance(leg, AtSpeed) and leg.speed is not None:
-        return [f"{write_key(leg, 'speed')} is an airspeed, which a multirotor does not hold; leave it out"]
+        return [
+            f"{write_key(leg, 'speed')} is an airspeed, which the {craft.name} does not hold; leave it out"
+        ]
     return [*_check_limits(leg, start.aircraft), *_check_begin(leg, start.after), *leg.check(start)]
 
 

@@ -7,7 +7,7 @@ from collections.abc import Generator
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
-from bench.core.records.flight_specs import ALTITUDES, MULTIROTOR, Leg, LegStart
+from bench.core.records.flight_specs import ALTITUDES, ROTORCRAFT, Leg, LegStart
 from bench.simulation.flight.guidance.shaping import G, Steps, wait
 from bench.simulation.flight.legs.keys import Key, Seconds, format_deg, side_of, write_key
 from bench.simulation.flight.rotor_cockpit import RotorCockpit
@@ -25,7 +25,7 @@ class Hover(Leg):
     """A multirotor holds place, height and heading."""
 
     kind = "hover"
-    flown_by = (MULTIROTOR,)
+    flown_by = ROTORCRAFT
     duration: Seconds
 
     def describe(self) -> str:
@@ -40,7 +40,7 @@ class Goto(Leg):
     """A multirotor flies straight to a place by its distances from the start, and stops there."""
 
     kind = "goto"
-    flown_by = (MULTIROTOR,)
+    flown_by = ROTORCRAFT
     north: Annotated[float, Key("north_m", "of the start", -1e4, 1e4)]
     east: Annotated[float, Key("east_m", "of the start", -1e4, 1e4)]
     speed: GroundSpeed
@@ -74,7 +74,7 @@ class Sprint(Leg):
     """A multirotor flies straight, level, over a distance, and stops there."""
 
     kind = "sprint"
-    flown_by = (MULTIROTOR,)
+    flown_by = ROTORCRAFT
     distance: Annotated[float, Key("distance_m", "over ground", 1, 1e4)]
     speed: GroundSpeed
     accel: Acceleration = 5.0
@@ -98,7 +98,7 @@ class Orbit(Leg):
     """A multirotor circles the place ahead at a distance, and stops after some laps."""
 
     kind = "orbit"
-    flown_by = (MULTIROTOR,)
+    flown_by = ROTORCRAFT
     radius: Annotated[float, Key("radius_m", "distance of the center, ahead", 1, 1000)]
     speed: GroundSpeed
     laps: Annotated[float, Key("laps", "number of laps", 0.05, 1000)] = 1.0
@@ -133,7 +133,7 @@ class Yaw(Leg):
     """A multirotor turns its nose on the spot."""
 
     kind = "yaw"
-    flown_by = (MULTIROTOR,)
+    flown_by = ROTORCRAFT
     by: Annotated[float, Key("by_deg", "positive to the right", -36000, 36000)]
     rate: Annotated[float, Key("rate_deg_s", "largest rate", 0.1, 180)] = math.radians(30.0)
 
@@ -149,7 +149,7 @@ class Land(Leg):
     """A multirotor descends on the spot, touches down and stops its rotors."""
 
     kind = "land"
-    flown_by = (MULTIROTOR,)
+    flown_by = ROTORCRAFT
     leaves = "ground"
     rate: Annotated[
         float, Key("rate_mps", "down to a meter above the ground", 0.1, 100, most="max_descent")

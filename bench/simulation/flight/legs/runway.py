@@ -8,7 +8,7 @@ from typing import Annotated, ClassVar
 
 from bench.core.records.flight_specs import (
     FIXED_WING,
-    MULTIROTOR,
+    ROTORCRAFT,
     SECONDS,
     AircraftSpec,
     Leg,
@@ -44,7 +44,7 @@ class Static(Leg):
     """Stand on the ground with brakes set."""
 
     kind = "static"
-    flown_by = (FIXED_WING, MULTIROTOR)
+    flown_by = (FIXED_WING, *ROTORCRAFT)
     needs = leaves = "ground"
     duration: Seconds
 
@@ -120,7 +120,7 @@ class TakeOff(Leg):
     """Roll, rotate and climb straight ahead to a height above the runway; a multirotor rises on the spot."""
 
     kind = "take-off"
-    flown_by: ClassVar[tuple[str, ...]] = (FIXED_WING, MULTIROTOR)
+    flown_by: ClassVar[tuple[str, ...]] = (FIXED_WING, *ROTORCRAFT)
     needs = "ground"
     to_height: Annotated[float, Key("to_height_m", "above the runway; a multirotor from 1 m on", 1, 5000)]
     rate: ClimbRate
