@@ -118,7 +118,7 @@ def check_radar_use(
 def _check_start(table: ProfileTable, aircraft: AircraftSpec) -> list[str]:
     start = table.start
     if aircraft.hovers and table.alignment.kind == "course":
-        return ["[alignment] kind = 'course': the course of what hovers gives no heading; use 'hover'"]
+        return [f"[alignment] kind = 'course': the course of a {aircraft.kind} gives no heading; use 'hover'"]
     if start.on_ground and aircraft.glides:
         return [
             f"[start] on_ground = true: the {aircraft.name} is a glider; start it in the air, as a tow ends"

@@ -236,7 +236,7 @@ def _make_aircraft(
     limits, imu = table.limits, table.imu
     if limits.min_speed_mps >= limits.max_speed_mps:
         raise ConfigError(f"{shown}: [limits] min_speed_mps must be below max_speed_mps")
-    wings = table.kind in WINGS
+    kind, wings = table.kind, table.kind in WINGS
     if wings and limits.min_speed_mps < SPEEDS[0]:
         what = quantity("min_speed_mps", limits.min_speed_mps)
         raise ConfigError(f"{shown}: [limits] {what} is below {SPEEDS[0]} m/s; 0 is for what hovers")
@@ -251,7 +251,6 @@ def _make_aircraft(
         what = quantity("min_speed_mps", limits.min_speed_mps)
         raise ConfigError(f"{shown}: [limits] {what} must be 0 with kind = {table.kind!r}: it hovers")
     if not wings and isinstance(table, ForeignTable):
-        kind = table.kind
         raise ConfigError(f"{shown}: kind = {kind!r}: the model must name <system file={kind!r}/>")
     for number, row in enumerate(table.trim, 1):
         if not limits.min_speed_mps <= row.speed_mps <= limits.max_speed_mps:
