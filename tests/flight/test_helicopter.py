@@ -185,6 +185,13 @@ def test_a_lift_off_in_wind_keeps_its_heading():
     assert np.hypot(*flown.ned[-1, :2]) < 0.05
 
 
+@pytest.mark.long
+def test_a_lift_off_in_wind_and_moderate_air_keeps_its_heading_over_ten_seeds():
+    """On the ground its blades press it down, so that no gust turns it round on its skids."""
+    air = {"aircraft": HELION, "severity": 4}
+    assert max(turned_by_lift_off(turbulence_seed=seed, **air)[0] for seed in range(10)) < 3.0
+
+
 def test_its_legs_are_those_that_hover():
     start, found = LegStart(HELION, 600.0, PAD, "ground"), []
     for leg in TOUR:

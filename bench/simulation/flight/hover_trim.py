@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from bench.core.mathematics.arrays import FloatArray
-from bench.core.records.flight_specs import MULTIROTOR, FlightSpec
+from bench.core.records.flight_specs import HELICOPTER, FlightSpec
 from bench.core.words.exceptions import FlightError
 from bench.simulation.flight.executive import find_property
 from bench.simulation.flight.rotor_cockpit import ROTORS, RotorCockpit
@@ -114,7 +114,7 @@ def trim_hover(fdm: Any, condition: TrimCondition, max_tilt: float, say: Say = k
 
 def _check_model(fdm: Any, kind: str) -> None:
     """Raise FlightError unless all that the airframe declares and all gains are above 0."""
-    airframe = _MULTIROTOR if kind == MULTIROTOR else _HELICOPTER
+    airframe = _HELICOPTER if kind == HELICOPTER else _MULTIROTOR
     for name in (*airframe, *(f"guidance/{gain}" for gain in _GAINS)):
         if not (value := find_property(fdm, name).get_double_value()) > 0:
             raise FlightError(f"aircraft {fdm.get_model_name()}: {name} must be above 0; it is {value:g}")
@@ -129,6 +129,8 @@ def prepare_hover(fdm: Any, spec: FlightSpec, condition: TrimCondition, say: Say
         set_down(fdm, condition)
         for k in ROTORS:
             fdm[f"guidance/direct{k}-rad_sec"] = 0.0
+        if spec.aircraft.kind == HELICOPTER:  # its rotor turns, and presses it on the ground
+            fdm["guidance/direct0-rad_sec"] = fdm["guidance/idle-gain"]
         come_to_rest(fdm, say)
         return RotorCockpit(fdm, spec)
     cockpit = RotorCockpit(fdm, spec)

@@ -10,7 +10,7 @@ import numpy as np
 
 from bench.core.mathematics.arrays import FloatArray
 from bench.core.mathematics.earth import matrix_en, to_ecef
-from bench.core.records.flight_specs import MULTIROTOR, FlightSpec
+from bench.core.records.flight_specs import HELICOPTER, FlightSpec
 from bench.core.words.exceptions import FlightError
 from bench.simulation.flight.guidance.rides import Ride
 from bench.simulation.flight.guidance.shaping import GUIDANCE_RATE, Steps, smooth, ticks
@@ -48,8 +48,7 @@ class RotorCockpit(Panel):
         self._air_share = self.switch("guidance/air-share")
         self._direct_share = self.switch("guidance/direct-share")
         self._direct = [self.switch(f"guidance/direct{k}-rad_sec") for k in ROTORS]
-        multirotor = spec.aircraft.kind == MULTIROTOR  # the blades of a helicopter idle at no pitch
-        self._idle = self.reader("guidance/idle-gain")() if multirotor else 0.0
+        self._idle, self._turns = self.reader("guidance/idle-gain")(), spec.aircraft.kind == HELICOPTER
         self._pos = [self.reader(f"guidance/{axis}-m") for axis in AXES]
         self.true_pitch = self.reader("attitude/theta-rad")
         self._dt = fdm.get_delta_t()
@@ -195,10 +194,14 @@ class RotorCockpit(Panel):
         self._air_share(1.0)
         self._direct_share(0.0)
 
-    def spin(self, speed: float) -> None:
-        """Turn all rotors at a speed [rad/s] as far as the law does not."""
-        for write in self._direct:
-            write(speed)
+    def spin(self, share: float) -> None:
+        """Turn all rotors at a share of their idle speed as far as the law does not.
+
+        The rotors of a helicopter turn all along; the main one gets its idle pitch, the rest none.
+        """
+        idle = (self._idle, 0.0, 0.0, 0.0) if self._turns else [share * self._idle] * len(ROTORS)
+        for write, value in zip(self._direct, idle, strict=True):
+            write(value)
 
     def ground_alt(self) -> float:
         """Return the ellipsoidal height of the ground below the path [m]."""
@@ -211,7 +214,7 @@ class RotorCockpit(Panel):
         """
         alt = height + (self.runway.alt if self.runway else self.ground_alt())
         for share in smooth(_SPIN_UP):
-            self.spin(share * self._idle)
+            self.spin(share)
             yield
         climb = self.go_to_height(alt, rate)
         stuck = len(ticks(_PATIENCE))
@@ -243,12 +246,12 @@ class RotorCockpit(Panel):
         else:
             raise FlightError(f"no ground within {depth:.1f} m below: {self.state()}")
         self.on_ground(standing=True)
-        self.spin(self._idle)
+        self.spin(1.0)
         for share in smooth(0.2):
             self._direct_share(share)
             yield
         for share in smooth(_SPIN_UP):
-            self.spin((1.0 - share) * self._idle)
+            self.spin(1.0 - share)
             yield
         self.place = np.array([read() for read in self._pos])
         self._hold()
