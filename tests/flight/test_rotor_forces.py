@@ -73,7 +73,7 @@ def test_the_x500_has_the_mass_and_the_loads_of_its_source():
 
 # Means of three kinds of rows of the NeuroBEM data set (University of Zurich; a quadrotor of 0.772 kg in a
 # hall), read in a public subset: andyska09/mrs-BEM, NeuroBEM/CMAES-dataset/subset_20k.csv, after 0, 2.5 and
-# 8.9 million characters; they turn slower than 3.5 rad/s, and none is 0.01 s after another for long.
+# 8.9 million characters. Rows of a page that turn slower than 3.5 rad/s, without near-copies of each other.
 # rows, motion in the plane of the rotors [m/s], rotor speed [rad/s], deceleration along that motion [m/s^2]
 LOG = [(11, 2.57, 1123.0, 0.521), (24, 6.90, 1397.0, 2.133), (24, 8.77, 1933.0, 4.009)]
 LOG_HOVER, LOG_FELT = 1136.8, 9.808  # eight rows of a hover: rotor speed [rad/s], specific force up [m/s^2]
