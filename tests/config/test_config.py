@@ -587,8 +587,9 @@ def test_every_class_has_a_shape_and_limits(tmp_path):
         (own / "aircraft.toml").write_text(shipped.read_text().replace('"uav"', f'"{category}"'))
         shapes[category] = config.read_profile(write(tmp_path), {"aircraft": "kite"}).flight.mesh
     assert shapes.keys() == LIMITS.keys()
-    rotors = config.read_profile("hover-and-sprint").flight.mesh
-    assert {*shapes.values(), rotors} == MESHES.keys()
+    hovering = ("hummingbird", "helion")
+    rotors = [config.read_profile("inspection", {"aircraft": name}).flight.mesh for name in hovering]
+    assert {*shapes.values(), *rotors} == MESHES.keys()
 
 
 def test_a_start_without_airspeed_is_the_trim_nearest_in_altitude(tmp_path):

@@ -415,9 +415,9 @@ def test_an_orbit_sets_off_to_its_side_and_its_path_has_its_own_derivatives(side
         assert_allclose(rows[0] + 15.0 * nose, center, atol=1e-9)
 
 
-def test_angles_of_rotors_from_speeds_at_200_hz_are_those_of_every_step(tour):
+def test_angles_of_rotors_from_speeds_at_200_hz_are_those_of_every_step(frame, tour):
     """Trapezoids of 5 ms and 2.5 ms of one flight: 0.02 rad in the air, 0.2 rad with the take-off."""
-    fine = fly_here(plan(*TOUR[:5], on_ground=True, rate=400.0)).rotors
+    fine = fly_here(plan(*TOUR[:5], on_ground=True, rate=400.0, aircraft=frame)).rotors
     angles = cumulative_trapezoid(fine.speed, fine.t, axis=0, initial=0.0)[::2]
     coarse = fine.speed[::2]
     n = len(coarse)

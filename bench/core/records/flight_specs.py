@@ -111,6 +111,11 @@ class AircraftSpec:
         return self.kind in ROTORCRAFT
 
     @property
+    def has_four_rotors(self) -> bool:
+        """Return whether four rotors carry it."""
+        return self.kind == MULTIROTOR
+
+    @property
     def glides(self) -> bool:
         """Return whether it has no engine: it holds its airspeed by pitch and sinks."""
         return self.kind == GLIDER

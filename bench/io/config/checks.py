@@ -307,7 +307,8 @@ def complete_rotors(
 
     named = f"[sensors] imu = {imu.name!r}"
     shaken, table = imu.vibration, isinstance(flight, TableSpec)
-    if not (has_rotor_speeds(flight.path) if isinstance(flight, TableSpec) else aircraft and aircraft.hovers):
+    four = aircraft is not None and aircraft.has_four_rotors
+    if not (has_rotor_speeds(flight.path) if isinstance(flight, TableSpec) else four):
         what = "the table has no columns rotor_speed" if table else "this is no multirotor"
         wrong.append(f"{named}: [vibration] rotor_accel needs the speeds of four rotors; {what}")
         return dict(on_board)

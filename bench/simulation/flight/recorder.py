@@ -105,7 +105,8 @@ def record_plan(
     fdm, cockpit = prepare(spec, dt, say, belief)
     craft = spec.aircraft
     kind = {"guided": craft.guided, "hovers": craft.hovers, "glides": craft.glides}
-    log = StateLog(fdm, dt, f"aircraft {craft.name}", craft.imu_b, **kind)
+    four = craft.has_four_rotors
+    log = StateLog(fdm, dt, f"aircraft {craft.name}", craft.imu_b, **kind, four_rotors=four)
     exceedances = Exceedances(spec, fdm)
     run, keep_state = through_turbulence(fdm, spec, dt), log.keep_state
     shares = [k / log.per_tick for k in range(1, log.per_tick + 1)]

@@ -87,6 +87,8 @@ class StateLog:
         Whether it flies without airspeed: angle of attack and sideslip of an airspeed below 3 m/s are then 0.
     glides : bool
         Whether it has no engine: the speed of one is then 0.
+    four_rotors : bool
+        Whether it has four rotors, whose speeds are stored.
 
     Raises
     ------
@@ -104,6 +106,7 @@ class StateLog:
         guided: bool = False,
         hovers: bool = False,
         glides: bool = False,
+        four_rotors: bool = False,
     ) -> None:
         manager = fdm.get_property_manager()
 
@@ -120,9 +123,10 @@ class StateLog:
         foreign = (*_AIR, (engine, RPM), *_SURFACES, ("fcs/throttle-cmd-norm", 1.0))
         own = _UNPOWERED if glides else _OWN
         slow = (*(own if guided else foreign), *_GROUND)
-        names = (*_MOTION, *(_ROTORS if hovers else ())) if guided else (*_MOTION, *_CENTER)
+        names = (*_MOTION, *(_ROTORS if four_rotors else ())) if guided else (*_MOTION, *_CENTER)
         self.dt, self.per_tick = dt, round(1.0 / (GUIDANCE_RATE * dt))
         self._what, self._imu_b, self._guided, self._hovers = what, imu_b, guided, hovers
+        self._four_rotors = four_rotors
         self._read_state = [read(name) for name in names]
         contacts = [touch("gear"), touch("contact")]
         self._read_slow = [*(read(name) for name, _ in slow), *contacts]
@@ -194,7 +198,7 @@ class StateLog:
         states = self._table(self._given, self._given + before + 1 + steps)
         slow = np.array(self._slow[:slow_end]).reshape(-1, len(self._read_slow)) * self._units
         motion = self._motion_of_imu(states, before)
-        rotors = states[max(0, before - 1) :, len(_MOTION) :] if self._hovers else None
+        rotors = states[max(0, before - 1) :, len(_MOTION) :] if self._four_rotors else None
         self._given += len(states) - 2 * NEIGHBORS - 1
         if 2 * self._given > self.count_steps():
             del self._states[: self._given * len(self._read_state)]
