@@ -78,6 +78,7 @@ ENDINGS: Mapping[str, Unit] = {
     "_mmps": Unit("mm/s", 1e-3),
     "_mm": Unit("mm", 1e-3),
     "_cm": Unit("cm", 1e-2),
+    "_cm3": Unit("cm^3", 1e-6),
     "_dm": Unit("dm", 1e-1),
     "_deg_e7": Unit("deg_e7", 1e-7 * DEG),
     "_100us": Unit("100us", 1e-4),

@@ -147,6 +147,8 @@ class Runway:
     """Width of a runway; a leg on the ground that leaves it fails [m]."""
     length: float = figure("m", 0, 20000, default=0.0)
     """Length of a runway; 0: not stated, without an end [m]."""
+    roughness: float = figure("cm3", 0, 50, default=0.0)
+    """Roughness: elevation PSD at 1 rad/m, typically 0.13; 0: smooth [m^3/rad]."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -116,7 +116,10 @@ def check_radar_use(
 
 
 def _check_start(table: ProfileTable, aircraft: AircraftSpec) -> list[str]:
-    start = table.start
+    start, runway = table.start, make_runway(table)
+    if aircraft.hovers and runway is not None and runway.roughness:
+        place = "start" if table.runway is None else "runway"
+        return [f"[{place}] roughness_cm3 is not used by a multirotor, which does not roll; leave it out"]
     if aircraft.hovers and table.alignment.kind == "course":
         return [f"[alignment] kind = 'course': the course of a {aircraft.kind} gives no heading; use 'hover'"]
     if start.on_ground and aircraft.glides:
@@ -137,7 +140,7 @@ def _check_start(table: ProfileTable, aircraft: AircraftSpec) -> list[str]:
                 f"[start] on_ground = true: the {aircraft.name} has no [{table_of}] in its aircraft.toml"
             )
         return wrong
-    for key in ("width_m", "length_m"):
+    for key in ("width_m", "length_m", "roughness_cm3"):
         if getattr(start, key) != type(start).model_fields[key].default:
             what = quantity(key, getattr(start, key))
             return [f"[start] {what} is not used: it is of a runway, with on_ground = true"]

@@ -17,6 +17,7 @@ from bench.core.records.flight_specs import FlightSpec, ScriptSpec
 from bench.core.words.exceptions import FlightError
 from bench.simulation.flight.exceedances import Exceedances
 from bench.simulation.flight.executive import load_aircraft, load_script, say_in_one_line
+from bench.simulation.flight.ground.roughness import over_rough_ground
 from bench.simulation.flight.guidance.belief import Belief
 from bench.simulation.flight.guidance.sequencer import Cockpit, FlownLeg, engage, fly_legs
 from bench.simulation.flight.guidance.shaping import GUIDANCE_RATE
@@ -108,7 +109,8 @@ def record_plan(
     four = craft.has_four_rotors
     log = StateLog(fdm, dt, f"aircraft {craft.name}", craft.imu_b, **kind, four_rotors=four)
     exceedances = Exceedances(spec, fdm)
-    run, keep_state = through_turbulence(fdm, spec, dt), log.keep_state
+    run = over_rough_ground(fdm, cockpit, spec, dt, through_turbulence(fdm, spec, dt))
+    keep_state = log.keep_state
     shares = [k / log.per_tick for k in range(1, log.per_tick + 1)]
     flown: list[FlownLeg] = []
     ended: list[EventRow] = []

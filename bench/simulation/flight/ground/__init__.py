@@ -1,0 +1,1 @@
+"""What wheels roll on, and the landing gear of a model."""
