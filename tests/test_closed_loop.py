@@ -21,7 +21,7 @@ from bench.pipeline import closed_loop
 from bench.simulation.flight import fly_pieces
 from bench.simulation.flight.guidance.belief import Belief, NavEstimate
 from bench.simulation.flight.legs.level import Straight
-from bench.simulation.flight.legs.runway import Taxi
+from bench.simulation.flight.legs.taxi import Taxi
 from tests.flight.plans import plan, short_plan
 from tests.flight.test_legs_ground import KINDS, standing
 

@@ -16,7 +16,8 @@ from bench.simulation.flight import fly
 from bench.simulation.flight.guidance.sequencer import FlownLeg, fly_legs
 from bench.simulation.flight.legs.landing import Approach, Flare, LandingRoll
 from bench.simulation.flight.legs.level import Straight
-from bench.simulation.flight.legs.runway import Static, TakeOff, Taxi, TouchAndGo
+from bench.simulation.flight.legs.runway import Static, TakeOff, TouchAndGo
+from bench.simulation.flight.legs.taxi import Taxi
 from bench.simulation.flight.recorder import prepare
 from tests.flight.plans import AEROSONDE, plan, truth_of
 

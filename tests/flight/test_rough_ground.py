@@ -20,7 +20,8 @@ from bench.simulation.flight.executive import load_aircraft
 from bench.simulation.flight.ground.gear import find_wheels
 from bench.simulation.flight.ground.roughness import ElevationProfile, elevation_psd, over_rough_ground
 from bench.simulation.flight.jsbsim_units import INCH
-from bench.simulation.flight.legs.runway import TakeOff, Taxi
+from bench.simulation.flight.legs.runway import TakeOff
+from bench.simulation.flight.legs.taxi import Taxi
 from tests.flight import inertial
 from tests.flight.plans import fly_here, record_whole, truth_of
 from tests.flight.test_legs_ground import JET, KINDS, NAVION, RUNWAY, runway_frame, standing

@@ -115,6 +115,30 @@ def check_radar_use(
     return [f"{place}: options: radar = true {use}" for place in users]
 
 
+def _list_runway_keys(table: ProfileTable) -> list[str]:
+    """Return the keys of a runway that [start] gives, as written."""
+    start = table.start
+    given = ("width_m", "length_m", "roughness_cm3")
+    return [
+        quantity(key, getattr(start, key))
+        for key in given
+        if getattr(start, key) != type(start).model_fields[key].default
+    ]
+
+
+def _check_stand(table: ProfileTable) -> list[str]:
+    """Check a start on the ground beside a runway, whose keys are in [runway]; the ground is level."""
+    if table.runway is None:
+        return []
+    wrong = [f"[start] {what} is not used: the runway is in [runway]" for what in _list_runway_keys(table)]
+    if table.start.alt_m != table.runway.alt_m:
+        wrong.append(
+            f"[start] {quantity('alt_m', table.start.alt_m)} is not the height of the runway, "
+            f"{quantity('alt_m', table.runway.alt_m)}: the ground between them is level"
+        )
+    return wrong
+
+
 def _check_start(table: ProfileTable, aircraft: AircraftSpec) -> list[str]:
     start, runway = table.start, make_runway(table)
     if aircraft.hovers and runway is not None and runway.roughness:
@@ -132,18 +156,15 @@ def _check_start(table: ProfileTable, aircraft: AircraftSpec) -> list[str]:
             wrong.append(
                 f"[start] {quantity('speed_mps', start.speed_mps)} is not used with on_ground = true"
             )
-        if table.runway is not None:
-            wrong.append("[runway] is not needed: with on_ground = true [start] is the runway")
+        wrong += _check_stand(table)
         if aircraft.rest_height is None:
             table_of = "stand" if aircraft.hovers else "runway"
             wrong.append(
                 f"[start] on_ground = true: the {aircraft.name} has no [{table_of}] in its aircraft.toml"
             )
         return wrong
-    for key in ("width_m", "length_m", "roughness_cm3"):
-        if getattr(start, key) != type(start).model_fields[key].default:
-            what = quantity(key, getattr(start, key))
-            return [f"[start] {what} is not used: it is of a runway, with on_ground = true"]
+    if unused := _list_runway_keys(table):
+        return [f"[start] {what} is not used: it is of a runway, with on_ground = true" for what in unused]
     if aircraft.hovers:
         if start.speed_mps is None:
             return []

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from bench.core.records.flight_specs import FlightSpec
 from bench.core.words.exceptions import FlightError
+from bench.simulation.flight.ground.gear import find_wheels
 from bench.simulation.flight.guidance.belief import Belief
 from bench.simulation.flight.guidance.shaping import GUIDANCE_RATE, smoothstep
 from bench.simulation.flight.panel import Panel
@@ -26,6 +28,7 @@ class Cockpit(Panel):
     def __init__(self, fdm: Any, spec: FlightSpec, belief: Belief | None = None) -> None:
         super().__init__(fdm, spec, belief)
         reader, switch = self.reader, self.switch
+        self.find_wheels = partial(find_wheels, spec.aircraft, fdm)
 
         def writer(name: str) -> Callable[[float], None]:
             return switch(f"guidance/{name}")

@@ -1,4 +1,4 @@
-"""Exceedances of a flight on wings: runway excursion, hard landing, stall and overspeed.
+"""Exceedances of a flight on wings: excursions from runway and taxiway, hard landing, stall and overspeed.
 
 As flight data monitoring reports them: events of kind "exceedance" of the truth; the flight is not changed.
 An aircraft without a stated limit has no exceedance of it.
@@ -7,6 +7,7 @@ An aircraft without a stated limit has no exceedance of it.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from bench.core.mathematics.earth import matrix_en, to_ecef
 from bench.core.mathematics.rotation import rotate
 from bench.core.records.data import EventRow
 from bench.core.records.flight_specs import FlightSpec, Runway
+from bench.simulation.flight.ground.taxiway import Taxiway
 from bench.simulation.flight.guidance.shaping import GUIDANCE_RATE
 from bench.simulation.flight.increments import earth_relative
 from bench.simulation.flight.jsbsim_units import FT
@@ -26,6 +28,7 @@ _HEATS = 1.4  # ratio of the specific heats of air, ISO 2533
 _SEA_LEVEL_DENSITY = 1.225  # [kg/m^3], ISO 2533
 _AIRBORNE = 1.0  # off its wheels for so long an aircraft flies; a hop of the landing roll is shorter [s]
 _AT_THRESHOLD = 1.0  # what stands at the threshold may stand this much before it [m]
+_STAND = 30.0  # radius of the stand that a flight starts at [m]
 _LEAST_SINK, _MOST_SINK = 7.0 * FT, 10.0 * FT  # bounds of the limit descent velocity [m/s]
 
 
@@ -65,10 +68,15 @@ class Exceedances:
         Its model, with the weight of the start.
     rate : float
         Rows of air data and contacts per second [Hz].
+    taxiways : sequence of Taxiway
+        Taxiways beside the runway; legs add theirs.
     """
 
-    def __init__(self, spec: FlightSpec, fdm: Any, rate: float = GUIDANCE_RATE) -> None:
+    def __init__(
+        self, spec: FlightSpec, fdm: Any, rate: float = GUIDANCE_RATE, taxiways: Sequence[Taxiway] = ()
+    ) -> None:
         self._spec, self._envelope, self._rate = spec, spec.aircraft.envelope, rate
+        self._taxiways = taxiways
         weight, area = fdm["inertia/weight-lbs"], fdm["metrics/Sw-sqft"]
         loading = weight / area if area > 0 else math.inf
         self._sink, self._rule = limit_sink(spec.aircraft.category, loading)
@@ -146,11 +154,37 @@ class Exceedances:
         pos_n = pos_n - rotate(motion.q_nb[at], self._spec.aircraft.imu_b)  # of the center of gravity
         c, s = math.cos(runway.heading), math.sin(runway.heading)
         along, right = pos_n[:, 0] * c + pos_n[:, 1] * s, pos_n[:, 1] * c - pos_n[:, 0] * s
-        edge = 0.5 * runway.width
+        edge, end = 0.5 * runway.width, runway.length or math.inf
+        beyond = np.max([np.abs(right) - edge, -along - _AT_THRESHOLD, along - end], axis=0)
+        ours = self._add_taxiway_excursions(t, pos_n[:, :2], beyond, runway)
         for side, off in (("right", right), ("left", -right)):
             text = f"runway excursion: {{:.0f}} m {side} of the centerline, beyond the edge at {edge:g} m"
-            self._note(text, off > edge, t, off)
-        self._note("runway excursion: {:.0f} m before the threshold", along < -_AT_THRESHOLD, t, -along)
-        if runway.length:
-            text = f"runway excursion: {{:.0f}} m beyond the end of {runway.length:g} m"
-            self._note(text, along > runway.length, t, along - runway.length)
+            self._note(text, ours & (off > edge), t, off)
+        before = ours & (along < -_AT_THRESHOLD)
+        self._note("runway excursion: {:.0f} m before the threshold", before, t, -along)
+        text = f"runway excursion: {{:.0f}} m beyond the end of {runway.length:g} m"
+        self._note(text, ours & (along > end), t, along - runway.length)
+
+    def _add_taxiway_excursions(
+        self, t: FloatArray, pos: FloatArray, beyond: FloatArray, runway: Runway
+    ) -> BoolArray:
+        """Return the rows off all that is paved that are nearer to the runway than to a taxiway.
+
+        ``beyond`` is how far places are beyond the edge of the runway [m].
+        """
+        ours = beyond > 0
+        if self._spec.on_ground:  # where it starts is a stand
+            lla = [self._spec.lat, self._spec.lon, runway.alt]
+            away = to_ecef(lla) - to_ecef([runway.lat, runway.lon, runway.alt])
+            ours &= np.hypot(*(pos - (away @ matrix_en(runway.lat, runway.lon))[:2]).T) > _STAND
+        rows = np.flatnonzero(ours)
+        if not len(rows) or not self._taxiways:
+            return ours
+        off = np.array([taxiway.beyond(pos[rows]) for taxiway in self._taxiways])
+        nearest, least = off.argmin(axis=0), off.min(axis=0)
+        for k, taxiway in enumerate(self._taxiways):
+            text = f"taxiway excursion: {{:.1f}} m off its centerline, beyond the edge at {taxiway.edge:g} m"
+            left = (nearest == k) & (least > 0) & (least < beyond[rows])
+            self._note(text, left, t[rows], least + taxiway.edge)
+        ours[rows] = least >= beyond[rows]
+        return ours

@@ -14,6 +14,7 @@ from bench.core.mathematics.earth import matrix_en, to_ecef, to_geodetic
 from bench.core.records.flight_specs import FlightSpec
 from bench.core.words.exceptions import FlightError
 from bench.simulation.flight.executive import find_property
+from bench.simulation.flight.ground.taxiway import Taxiway
 from bench.simulation.flight.guidance.belief import Belief
 from bench.simulation.flight.guidance.shaping import Steps, ticks
 from bench.simulation.flight.jsbsim_units import FT
@@ -56,6 +57,7 @@ class Panel:
         self._integrators = {name: switch(f"simulation/integrator/{name}") for name in ON_WHEELS}
         self._wind_fps = [reader(f"atmosphere/wind-{axis}-fps") for axis in ("north", "east")]
         self.start_lla = spec.lat, spec.lon, spec.alt  # of the flight [rad, rad, m]
+        self.taxiways: list[Taxiway] = []  # that legs have led along
 
     def alt(self) -> float:
         """Ellipsoidal height [m]."""

@@ -108,7 +108,7 @@ def record_plan(
     kind = {"guided": craft.guided, "hovers": craft.hovers, "glides": craft.glides}
     four = craft.has_four_rotors
     log = StateLog(fdm, dt, f"aircraft {craft.name}", craft.imu_b, **kind, four_rotors=four)
-    exceedances = Exceedances(spec, fdm)
+    exceedances = Exceedances(spec, fdm, taxiways=cockpit.taxiways)
     run = over_rough_ground(fdm, cockpit, spec, dt, through_turbulence(fdm, spec, dt))
     keep_state = log.keep_state
     shares = [k / log.per_tick for k in range(1, log.per_tick + 1)]

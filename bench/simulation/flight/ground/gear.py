@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 from xml.etree import ElementTree
@@ -23,6 +24,7 @@ class Wheel:
     forward: float  # place ahead of the center of gravity at the start [m]
     right: float  # and to its right [m]
     lead: float  # damping over stiffness of the strut [s]; 0 unless both are constants
+    steer: float  # most angle of its steering [rad]; 0: it is fixed
 
 
 def find_wheels(aircraft: AircraftSpec, fdm: Any) -> tuple[Wheel, ...]:
@@ -40,7 +42,8 @@ def find_wheels(aircraft: AircraftSpec, fdm: Any) -> tuple[Wheel, ...]:
         if contact.get("type") == "BOGEY":
             unit = f"gear/unit[{number}]"
             x, y = (find_property(fdm, f"{unit}/{axis}-position").get_double_value() for axis in "xy")
-            found.append(Wheel(unit, (center[0] - x) * INCH, (y - center[1]) * INCH, _find_lead(contact)))
+            place = (center[0] - x) * INCH, (y - center[1]) * INCH
+            found.append(Wheel(unit, *place, _find_lead(contact), _find_steering(contact)))
     return tuple(found)
 
 
@@ -51,3 +54,11 @@ def _find_lead(contact: ElementTree.Element) -> float:
     units = _SLOWER.get(damper.get("unit", "LBS/FT/SEC"), "LBS/FT"), spring.get("unit", "LBS/FT")
     stiffness, damping = float(spring.text or 0.0), float(damper.text or 0.0)
     return _RATIO.get(units, 1.0) * damping / stiffness if stiffness > 0 else 0.0
+
+
+def _find_steering(contact: ElementTree.Element) -> float:
+    most = contact.find("max_steer")
+    if most is None:
+        return 0.0
+    angle = float(most.text or 0.0)
+    return abs(angle if most.get("unit", "DEG") == "RAD" else math.radians(angle))

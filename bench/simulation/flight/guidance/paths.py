@@ -107,6 +107,20 @@ class SegmentPath:
             along -= segment.length
         return self.point
 
+    def sample(self, step: float) -> list[Point]:
+        """Return points along the path, not more than a step [m] apart, with both ends."""
+        count = max(1, math.ceil(self.length / step))
+        return [self.at(k / count * self.length) for k in range(count + 1)]
+
+    def turn_between(self, begin: float, end: float) -> float:
+        """Return the mean curvature to the right between two distances along the path [1/m]."""
+        turned = along = 0.0
+        for segment in self.segments:
+            inside = min(end, along + segment.length) - max(begin, along)
+            turned += max(inside, 0.0) * segment.curvature
+            along += segment.length
+        return turned / (end - begin)
+
     @property
     def length(self) -> float:
         """Length of the whole path [m]."""

@@ -9,7 +9,6 @@ from typing import Annotated, ClassVar
 from bench.core.records.flight_specs import (
     FIXED_WING,
     ROTORCRAFT,
-    SECONDS,
     AircraftSpec,
     Leg,
     LegStart,
@@ -19,7 +18,7 @@ from bench.core.records.flight_specs import (
 from bench.core.words.exceptions import FlightError
 from bench.simulation.flight.cockpit import Cockpit
 from bench.simulation.flight.guidance.paths import SegmentPath
-from bench.simulation.flight.guidance.shaping import GUIDANCE_RATE, Steps, clip, smooth, ticks, wait
+from bench.simulation.flight.guidance.shaping import Steps, clip, smooth, ticks, wait
 from bench.simulation.flight.legs.climbs import climb_ramp, level_off
 from bench.simulation.flight.legs.keys import ClimbRate, Key, Seconds, Speed, side_of, write_key
 from bench.simulation.flight.panel import Plane
@@ -30,9 +29,6 @@ PATIENCE = 180.0  # for a take-off run or a landing roll [s]
 _HANDOVER = 1.0  # in which guidance takes the surfaces, or gives them back [s]
 _ROTATE = math.radians(5.0)  # rate at which the nose is raised [rad/s]
 _NEAR = 2.0  # an airspeed has nearly come when it lacks less [m/s]
-_TAXI_QUICKENS, _TAXI_SLOWS = 0.5, 0.5  # changes of the speed of taxiing [m/s^2]
-_TAXI_BRAKE, _TAXI_STANDS = 0.4, 0.15  # most of the brakes; the speed that they end [m/s]
-_TAXI_LAG = 0.5  # so much below the speed that lets it stop in time it still quickens [m/s]
 _LOWEST = 20.0  # height above the runway that a take-off run climbs to [m]
 _SAFE = 10.0  # height above the ground at which the climb begins [m]
 _CENTER = 0.02  # heading back to the centerline per distance off it [rad/m] ...
@@ -55,64 +51,6 @@ class Static(Leg):
         if isinstance(cockpit, Cockpit):
             cockpit.brake(1.0)
         yield from wait(self.duration)
-
-
-@dataclass(frozen=True)
-class Taxi(Leg):
-    """Roll along the centerline with stops at equal distances, the last at the end."""
-
-    kind = "taxi"
-    needs = leaves = "ground"
-    distance: Annotated[float, Key("distance_m", "length of the whole path", 20, 5000)]
-    speed: Annotated[float, Key("speed_mps", "over ground, between the stops", 1, 15)] = 6.0
-    stops: Annotated[int, Key("stops", "number of stops, including the last", 1, 100)] = 1
-    stop: Annotated[float, Key("stop_s", "duration of each stop", *SECONDS)] = 10.0
-
-    def describe(self) -> str:
-        return f"{self.distance:g} m at {self.speed:g} m/s, {self.stops} stops"
-
-    def check(self, start: LegStart) -> list[str]:
-        return check_runway(start.aircraft)
-
-    def fly(self, cockpit: Cockpit) -> Steps:
-        """Hold a speed by throttle and brakes that falls to zero at each stop; steer by the nose wheel."""
-        runway, _ = find_runway(cockpit)
-        center = Centerline(cockpit, runway)
-        cockpit.course = runway.heading
-        cockpit.set_heading(cockpit.course)
-        begun = center.along
-        for number in range(1, self.stops + 1):
-            for share in smooth(POWER):
-                cockpit.brake(1 - share)
-                cockpit.set_steering(share)
-                yield
-            yield from self._roll(cockpit, center, begun + number * self.distance / self.stops)
-            for share in smooth(POWER):
-                cockpit.brake(_TAXI_BRAKE + share * (1 - _TAXI_BRAKE))
-                cockpit.set_steering(1 - share)
-                yield
-            yield from wait(self.stop)
-
-    def _roll(self, cockpit: Cockpit, center: Centerline, end: float) -> Steps:
-        power = brake = begun = 0.0
-        for k in ticks(PATIENCE + 2 * self.distance / self.speed):
-            center.steer()
-            speed, to_go = center.wheel_speed(), end - center.along
-            wanted = math.sqrt(2 * _TAXI_SLOWS * max(to_go, 0.0))
-            braking = wanted < min(self.speed, speed + _TAXI_LAG)
-            wanted = min(wanted, self.speed, (k + 1) / GUIDANCE_RATE * _TAXI_QUICKENS)
-            if braking and speed < _TAXI_STANDS:
-                break
-            lacks = wanted - speed
-            power = 0.0 if braking else min(max(power + 0.02 * lacks / GUIDANCE_RATE, 0.0), 0.5)
-            asked = 0.0 if braking else min(max(power + 0.04 * lacks, 0.0), 0.5)
-            begun += 0.1 * (asked - begun)  # no step of the throttle
-            cockpit.set_throttle(begun)
-            brake += 0.1 * (min(max(-0.5 * lacks, 0.0), _TAXI_BRAKE) - brake)
-            cockpit.brake(_TAXI_BRAKE if braking and to_go < 0 else brake)
-            yield
-        else:
-            raise FlightError(f"not at {end:.0f} m along the runway: {center.along:.0f} m, {cockpit.state()}")
 
 
 @dataclass(frozen=True)

@@ -87,24 +87,7 @@ class PointToPoint(AtSpeed):
         places = [point.place(cockpit.start_lla) for point in self.points]
         at = [plane.point(*place, alt) for place, alt in zip(places, alts[1:], strict=True)]
         path.towards(at[0], radius, "waypoint 1")
-        ways = [path.length]
-        for number, (here, there) in enumerate(zip(at, [*at[1:], None], strict=True), 1):
-            to_here = math.dist(path.point, here)
-            cut = turned = 0.0
-            if there is not None:
-                course = math.atan2(there[1] - here[1], there[0] - here[0])
-                turned = math.remainder(course - path.course, math.tau)
-                cut = radius * math.tan(0.5 * abs(turned))
-                room = min(to_here, math.dist(here, there))
-                if cut > room:
-                    raise FlightError(
-                        f"waypoint {number}: a turn of {math.degrees(turned):.0f} deg at {radius:.0f} m "
-                        f"radius needs {cut:.0f} m of track before and after it; there are {room:.0f} m"
-                    )
-            path.straight(to_here - cut)
-            ways.append(path.length)
-            if there is not None and turned:
-                path.arc(turned, radius)
+        ways = fly_by(path, at, radius, "waypoint")
         yield from follow(
             cockpit, plane, path, self.bank, self._find_heights(cockpit, plane, path, ways, alts)
         )
@@ -118,6 +101,38 @@ class PointToPoint(AtSpeed):
         self, cockpit: Cockpit, plane: Plane, path: SegmentPath, ways: list[float], alts: list[float]
     ) -> Heights | None:
         """Return the heights along the path, with its points at distances ``ways``; None keeps the height."""
+
+
+def fly_by(path: SegmentPath, at: list[tuple[float, float]], radius: float, what: str) -> list[float]:
+    """Append tracks from point to point, with arcs tangent to both tracks at each but the last.
+
+    Returns the ways along the path at its start and at each point, where its arc begins [m]; the points
+    are north and east [m].
+
+    Raises
+    ------
+    FlightError
+        If two points are too close for their arcs.
+    """
+    ways = [path.length]
+    for number, (here, there) in enumerate(zip(at, [*at[1:], None], strict=True), 1):
+        to_here = math.dist(path.point, here)
+        cut = turned = 0.0
+        if there is not None:
+            course = math.atan2(there[1] - here[1], there[0] - here[0])
+            turned = math.remainder(course - path.course, math.tau)
+            cut = radius * math.tan(0.5 * abs(turned))
+            room = min(to_here, math.dist(here, there))
+            if cut > room:
+                raise FlightError(
+                    f"{what} {number}: a turn of {math.degrees(turned):.0f} deg at {radius:.0f} m "
+                    f"radius needs {cut:.0f} m of track before and after it; there are {room:.0f} m"
+                )
+        path.straight(to_here - cut)
+        ways.append(path.length)
+        if there is not None and turned:
+            path.arc(turned, radius)
+    return ways
 
 
 @dataclass(frozen=True)
