@@ -369,7 +369,13 @@ def approach_from(north: float, alt: float, heading: float):
 def test_an_approach_that_begins_wrong_says_how():
     with pytest.raises(FlightError, match=r"leg 1 approach: .* this is \d+ m above it"):
         fly(approach_from(-130.0, GROUND + 300.0, ALONG))
-    with pytest.raises(FlightError, match=r"leg 1 approach: .* within 60 deg of its heading; .* \d+ deg off"):
+    with pytest.raises(
+        FlightError, match=r"leg 1 approach: .* within 120 deg of its heading; .* \d+ deg off"
+    ):
+        fly(approach_from(-130.0, GROUND + 60.0, radians(215.0)))
+    with pytest.raises(
+        FlightError, match=r"leg 1 approach: .* a turn of 115 deg from the base leg, .* m before"
+    ):
         fly(approach_from(-130.0, GROUND + 60.0, radians(200.0)))
 
 

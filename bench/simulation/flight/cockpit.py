@@ -130,6 +130,10 @@ class Cockpit(Panel):
         """Highest commanded airspeed of the rest of the flight [m/s]."""
         return self.speed_wanted if self._plan is None else max(self.speed_wanted, self._plan[1])
 
+    def change_time(self) -> float:
+        """Time until the airspeed set-point stays [s]."""
+        return 0.0 if self._plan is None else (self._plan[3] - self._plan[2]) / GUIDANCE_RATE
+
     def speed_settled(self) -> bool:
         """Return whether no airspeed change is in progress."""
         return self._plan is None

@@ -144,9 +144,12 @@ class SegmentPath:
         self.arc(side * ((side * (course - self.course)) % math.tau), radius)
 
 
-def turn_radius(cockpit: Cockpit, bank: float) -> float:
-    """Return the radius a bank [rad] holds at the highest ground speed the steady wind allows [m]."""
-    fastest = cockpit.fastest() + cockpit.wind_speed()
+def turn_radius(cockpit: Cockpit, bank: float, speed: float | None = None) -> float:
+    """Return the radius a bank [rad] holds at the highest ground speed the steady wind allows [m].
+
+    It is for an airspeed [m/s], else for the highest one commanded.
+    """
+    fastest = (cockpit.fastest() if speed is None else speed) + cockpit.wind_speed()
     return fastest**2 / (G * math.tan(bank))
 
 

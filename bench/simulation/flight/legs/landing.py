@@ -11,7 +11,7 @@ from typing import Annotated
 from bench.core.records.flight_specs import SECONDS, Leg, LegStart
 from bench.core.words.exceptions import FlightError
 from bench.simulation.flight.cockpit import SURFACES, Cockpit
-from bench.simulation.flight.guidance.paths import Follower, SegmentPath
+from bench.simulation.flight.guidance.paths import Follower, SegmentPath, run_in, turn_radius
 from bench.simulation.flight.guidance.shaping import Steps, roll_time, smooth, ticks, wait
 from bench.simulation.flight.legs.climbs import climb_ramp
 from bench.simulation.flight.legs.keys import Bank, Key, format_deg, side_of
@@ -26,7 +26,11 @@ from bench.simulation.flight.legs.runway import (
 )
 from bench.simulation.flight.panel import Plane
 
-_ALIGNED = math.radians(60.0)  # an approach begins with its track this close to the runway's [rad]
+_ALIGNED = math.radians(60.0)  # with its track this close to the runway's an approach meets its line [rad]
+_BASE = math.radians(120.0)  # and with less than this it turns from the base leg [rad]
+_SPARE_BANK = math.radians(3.0)  # of the base turn, for what disturbs it [rad] ...
+_MORE_BANK = math.radians(2.0)  # ... so much beyond it [rad] ...
+_RESERVE = math.radians(7.0)  # ... and below the limit of the aircraft [rad]
 _FINAL_BANK = math.radians(30.0)  # of an approach without a bank [rad]
 _FLARE_BANK = math.radians(8.0)  # most of it close to the ground [rad]
 _USUAL_GLIDE = math.radians(3.5)  # that flare heights are for
@@ -58,7 +62,10 @@ class Approach(Leg):
         return start.runway.alt if start.runway else start.alt
 
     def fly(self, cockpit: Cockpit) -> Steps:
-        """Fly level to the glide path, along the centerline, then down it to the height of the flare."""
+        """Fly level to the glide path, along the centerline, then down it to the height of the flare.
+
+        From a base leg it flies on to where a turn with the bank begins that ends on the centerline.
+        """
         runway, figures = find_runway(cockpit)
         plane = Plane(cockpit, runway.lat, runway.lon, runway.alt)
         line = centerline(runway)
@@ -72,9 +79,9 @@ class Approach(Leg):
             to_go = self.aim - line.segments[0].relative(plane.position())[0]
             return runway.alt + figures.height + slope * to_go - cockpit.alt()
 
-        if before < 0 or abs(across) > _ALIGNED:
+        if before < 0 or abs(across) > _BASE:
             raise FlightError(
-                f"an approach begins before the runway, within {format_deg(_ALIGNED)} of its heading; the "
+                f"an approach begins before the runway, within {format_deg(_BASE)} of its heading; the "
                 f"threshold is {before:.0f} m ahead, the track {math.degrees(across):.0f} deg off"
             )
         if above() < 0:
@@ -84,9 +91,12 @@ class Approach(Leg):
             cockpit.hold_approach(share)
             yield
         bank = min(self.bank or _FINAL_BANK, cockpit.aircraft.max_bank)
-        follower = Follower(cockpit, plane, line, bank, self.bank)
-        # no step to begin with
-        limits = chain((share * bank for share in smooth(roll_time(bank))), repeat(bank))
+        base = abs(across) > _ALIGNED
+        slow = figures.approach_speed
+        path = _turn_from_base(cockpit, plane, line, bank, slow) if base else line
+        follower = Follower(cockpit, plane, path, bank, bank if base else self.bank)
+        most = bank + _MORE_BANK if base else bank
+        limits = chain((share * most for share in smooth(roll_time(most))), repeat(most))  # no step
         rate = 0.0
         while above() > rate * (0.5 * climb_ramp(rate) + cockpit.climb_lag):
             follower.steer(next(limits))
@@ -110,6 +120,34 @@ class Approach(Leg):
             yield
         if abs(follower.off) > 0.5 * runway.width:
             raise FlightError(f"{abs(follower.off):.0f} m off the centerline at the flare: {cockpit.state()}")
+
+
+def _turn_from_base(
+    cockpit: Cockpit, plane: Plane, line: SegmentPath, bank: float, slowest: float
+) -> SegmentPath:
+    """Return the way from the present position: straight on, a turn with a bank [rad], the centerline.
+
+    The turn is for the airspeed of the approach [m/s] if the aircraft has slowed down before it.
+    """
+    track = plane.track()[0]
+    _, right, course = line.segments[0].relative(plane.position())
+    across = math.remainder(track - course, math.tau)
+    there, turn = -right * math.copysign(1.0, across), 1 - math.cos(across)
+    bank = max(min(bank - _SPARE_BANK, cockpit.aircraft.max_bank - _RESERVE), 0.5 * bank)
+    slow = turn_radius(cockpit, bank, slowest)
+    rest = cockpit.change_time() * (cockpit.fastest() + cockpit.wind_speed())
+    radius = slow if there > slow * turn + rest else turn_radius(cockpit, bank)
+    needed = radius * turn + abs(math.sin(across)) * run_in(cockpit, bank)
+    if there < needed:
+        raise FlightError(
+            f"a turn of {math.degrees(across):.0f} deg from the base leg, at {radius:.0f} m radius, begins "
+            f"{needed:.0f} m before the centerline; there are {there:.0f} m: {cockpit.state()}"
+        )
+    path = SegmentPath(plane.position(), track)
+    path.straight((there - radius * turn) / abs(math.sin(across)))
+    path.arc(-across, radius)
+    path.straight(1e6)
+    return path
 
 
 @dataclass(frozen=True)
