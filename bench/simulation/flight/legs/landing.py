@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from itertools import chain, repeat
 from typing import Annotated
 
-from bench.core.records.flight_specs import SECONDS, Leg, LegStart
+from bench.core.records.flight_specs import SECONDS, Leg, LegStart, Runway, RunwaySpec
 from bench.core.words.exceptions import FlightError
 from bench.simulation.flight.cockpit import SURFACES, Cockpit
 from bench.simulation.flight.guidance.paths import Follower, SegmentPath, run_in, turn_radius
@@ -108,9 +108,8 @@ class Approach(Leg):
         cockpit.lon_mode(2)
         captured = list(smooth(climb_ramp(rate)))
         gain, k = cockpit.gain("altitude-gain"), 0
-        # a steeper path is broken off higher: the sink falls as fast as on the usual one
-        flare_height = figures.flare_height * max(1.0, slope / math.tan(_USUAL_GLIDE))
-        while cockpit.alt_agl() > flare_height:
+        lowest = self._find_lowest(figures, slope)
+        while cockpit.alt_agl() > lowest:
             share, k = captured[min(k, len(captured) - 1)], k + 1
             rate = slope * plane.track()[1]
             cockpit.set_climb(share * (gain * above() * share - rate))
@@ -118,8 +117,20 @@ class Approach(Leg):
             if above() < -50.0:
                 raise FlightError(f"{-above():.0f} m above the glide path: {cockpit.state()}")
             yield
+        yield from self._go_on(cockpit, follower, runway, rate)
+
+    def _find_lowest(self, figures: RunwaySpec, slope: float) -> float:
+        """Return the height above the ground at which the path ends [m]; higher on a steeper path.
+
+        From there the sink falls as fast as on the usual path.
+        """
+        return figures.flare_height * max(1.0, slope / math.tan(_USUAL_GLIDE))
+
+    def _go_on(self, cockpit: Cockpit, follower: Follower, runway: Runway, sink: float) -> Steps:
+        """Continue from the end of the path, with a sink [m/s]: a flare follows."""
         if abs(follower.off) > 0.5 * runway.width:
             raise FlightError(f"{abs(follower.off):.0f} m off the centerline at the flare: {cockpit.state()}")
+        yield from ()
 
 
 def _turn_from_base(
