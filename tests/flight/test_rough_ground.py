@@ -166,7 +166,7 @@ def test_no_roughness_is_the_smooth_runway_to_the_bit():
     assert not np.array_equal(once, smooth.motion.pos_i)
 
 
-@pytest.mark.parametrize("name", ["aerosonde", "navion", "jet747"])
+@pytest.mark.parametrize("name", ["aerosonde", "navion", pytest.param("jet747", marks=pytest.mark.long)])
 def test_a_take_off_from_a_typical_runway_is_felt_and_replayed(name):
     """Hall and Morris (NASA SP, 1965, abstract): at most 0.4 g is acceptable; a typical runway is within it.
 

@@ -55,7 +55,7 @@ def from_stand(name: str, *, leave: float = 0.0, **changes):
     lat, lon, _ = earth.displace([LAT, LON, GROUND], [*stand, 0.0])
     corners = north_east(0.0, -100.0 * scale), north_east(leave, -HOLD_SHORT)
     points = tuple(Point(north=n - stand[0], east=e - stand[1]) for n, e in corners)
-    legs = Static(1.0), TaxiRoute(radius, speed, width, 5.0, points), LineUp(radius, speed, width, 2.0)
+    legs = Static(1.0), TaxiRoute(radius, speed, width, 5.0, points=points), LineUp(radius, speed, width, 2.0)
     spec = standing(*legs, Static(1.0), aircraft=kind.aircraft, speed=kind.climb[1], rate=100.0)
     return replace(spec, lat=float(lat), lon=float(lon), heading=ALONG + pi, **changes)
 
@@ -87,7 +87,12 @@ def off_the_way(name: str, along, right) -> np.ndarray:
 
 @pytest.mark.parametrize(
     ("name", "seed", "severity"),
-    [("navion", 1, 0), ("navion", 2, 4), ("navion", 3, 5), ("aerosonde", 4, 3), ("jet747", 5, 5)],
+    [
+        ("navion", 1, 0),
+        ("navion", 2, 4),
+        ("jet747", 5, 4),
+        *(pytest.param(name, seed, 4, marks=pytest.mark.long) for name in SIZES for seed in range(6, 12)),
+    ],
 )
 def test_an_aircraft_taxies_to_the_runway(name, seed, severity):
     """Calm to moderate air with 5 m/s of wind: within an eighth of the taxiway's width, no excursion.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated, Protocol
 
 import numpy as np
@@ -129,13 +129,10 @@ class TaxiRoute(_OnTaxiway):
     """Roll from point to point on a taxiway with rounded turns, and stop at the last."""
 
     kind = "taxi-route"
-    points: Annotated[tuple[Point, ...], Key("points", "flown by, but for the last")] = ()
+    points: Annotated[tuple[Point, ...], Key("points", "rounded, but for the last")] = field(kw_only=True)
 
     def describe(self) -> str:
         return f"{format_count(len(self.points), 'point')} at {self.speed:g} m/s, stop of {self.stop:g} s"
-
-    def check(self, start: LegStart) -> list[str]:
-        return super().check(start) + ([] if self.points else ["points is missing"])
 
     def _lay(self, path: SegmentPath, cockpit: Cockpit, plane: Plane, runway: Runway) -> None:
         at = [plane.point(*point.place(cockpit.start_lla), runway.alt) for point in self.points]
