@@ -181,12 +181,14 @@ def test_an_aircraft_that_taxies_by_a_wrong_estimate_leaves_the_taxiway():
 
 
 def test_a_turn_without_room_is_named():
+    spec = from_stand("navion")
+    stand, route, line_up, _ = spec.legs
+    wide = replace(spec, legs=(stand, replace(route, radius=90.0)))
     with pytest.raises(FlightError, match=r"leg 2 taxi-route: .* point 1: a turn of -90 deg at 90 m radius"):
-        spec = from_stand("navion")
-        fly(replace(spec, legs=(spec.legs[0], replace(spec.legs[1], radius=90.0))))
+        fly(wide)
+    wide = replace(spec, legs=(stand, route, replace(line_up, radius=60.0)))
     with pytest.raises(FlightError, match=r"line-up: .* no turn of 60 m radius onto the centerline"):
-        spec = from_stand("navion")
-        fly(replace(spec, legs=(*spec.legs[:2], replace(spec.legs[2], radius=60.0))))
+        fly(wide)
 
 
 def test_a_narrow_taxiway_is_left():

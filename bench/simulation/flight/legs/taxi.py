@@ -37,7 +37,7 @@ _Radius = Annotated[float, Key("radius_m", "radius of the turns", 5, 200)]
 _Width = Annotated[float, Key("width_m", "width of the taxiway; a leg that leaves it fails", 3, 100)]
 
 
-class _Track(Protocol):
+class _Steered(Protocol):
     """Steers along a line on the ground."""
 
     along: float
@@ -214,7 +214,7 @@ class _Centered:
 
 
 def _go_and_stop(
-    cockpit: Cockpit, track: _Track, end: float, limit: Callable[[float], float], patience: float
+    cockpit: Cockpit, track: _Steered, end: float, limit: Callable[[float], float], patience: float
 ) -> Steps:
     """Release the brakes, roll to a way along the track [m], set the brakes."""
     for share in smooth(POWER):
@@ -229,7 +229,7 @@ def _go_and_stop(
 
 
 def _roll(
-    cockpit: Cockpit, track: _Track, end: float, limit: Callable[[float], float], patience: float
+    cockpit: Cockpit, track: _Steered, end: float, limit: Callable[[float], float], patience: float
 ) -> Steps:
     power = brake = begun = 0.0
     for k in ticks(patience):
