@@ -224,7 +224,7 @@ def test_list_legs_says_what_each_key_may_be(capsys):
     assert re.search(r"side +right, left, shorter +shorter +direction of a turn", turn)
     assert "Profiles" not in out
     (legs,) = json.loads(say(capsys, "list", "legs", "--json")[1]).values()
-    (glide, aim) = next(leg for leg in legs if leg["name"] == "approach")["keys"]
+    glide, aim, _ = next(leg for leg in legs if leg["name"] == "approach")["keys"]
     assert (glide["name"], glide["unit"], glide["low"], glide["high"]) == ("glide_deg", "deg", 1.0, 10.0)
     assert (glide["default"], glide["required"], aim["default"]) == (3.0, False, 60.0)
 

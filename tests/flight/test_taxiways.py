@@ -15,8 +15,8 @@ from bench.simulation.flight.exceedances import Exceedances
 from bench.simulation.flight.ground.taxiway import Taxiway
 from bench.simulation.flight.guidance.belief import Belief, NavEstimate
 from bench.simulation.flight.guidance.paths import SegmentPath
-from bench.simulation.flight.legs.runway import Static
-from bench.simulation.flight.legs.taxi import LineUp, TaxiRoute
+from bench.simulation.flight.legs.runway import Static, TakeOff
+from bench.simulation.flight.legs.taxi import LineUp, Taxi, TaxiRoute
 from bench.simulation.flight.legs.tracks import Point
 from bench.simulation.flight.recorder import fly_pieces
 from tests.flight.plans import fly_here
@@ -189,6 +189,13 @@ def test_a_turn_without_room_is_named():
     wide = replace(spec, legs=(stand, route, replace(line_up, radius=60.0)))
     with pytest.raises(FlightError, match=r"line-up: .* no turn of 60 m radius onto the centerline"):
         fly(wide)
+
+
+def test_what_rolls_along_the_runway_is_lined_up():
+    spec = from_stand("navion")
+    for leg in (TakeOff(40.0, 3.0, 46.0), Taxi(50.0)):
+        with pytest.raises(FlightError, match=r"not along the runway, heading -?180 deg off: line-up comes"):
+            fly(replace(spec, legs=(leg,)))
 
 
 def test_a_narrow_taxiway_is_left():

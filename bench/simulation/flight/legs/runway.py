@@ -33,6 +33,7 @@ _LOWEST = 20.0  # height above the runway that a take-off run climbs to [m]
 _SAFE = 10.0  # height above the ground at which the climb begins [m]
 _CENTER = 0.02  # heading back to the centerline per distance off it [rad/m] ...
 _CENTER_MOST = math.radians(10.0)  # ... and the most of it [rad]
+_ALONG = math.radians(45.0)  # most from the heading of the runway where its centerline is followed [rad]
 
 
 @dataclass(frozen=True)
@@ -239,6 +240,11 @@ class Centerline:
         self._plane = Plane(cockpit, runway.lat, runway.lon, runway.alt)
         self._line = centerline(runway).segments[0]
         self.along, self.off, _ = self._line.relative(self._plane.position())
+        away = math.remainder(cockpit.heading() - self._line.course, math.tau)
+        if abs(away) > _ALONG:
+            raise FlightError(
+                f"not along the runway, heading {math.degrees(away):.0f} deg off: line-up comes before it"
+            )
 
     def wheel_speed(self) -> float:
         """Return the true speed over ground [m/s], as measured by the wheels."""
