@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Annotated, Protocol
@@ -105,9 +106,9 @@ class _OnTaxiway(Leg):
         cockpit.course = path.course
         yield from wait(self.stop)
 
+    @abstractmethod
     def _lay(self, path: SegmentPath, cockpit: Cockpit, plane: Plane, runway: Runway) -> None:
         """Append the way from the place and heading of the aircraft."""
-        raise NotImplementedError
 
     def _find_limit(self, path: SegmentPath) -> Callable[[float], float]:
         """Return the fastest speed [m/s] at a way along the path [m]: in a turn, and slowing down to it."""
