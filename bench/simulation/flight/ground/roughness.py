@@ -3,8 +3,8 @@
 The elevation along a line has the one-sided density C (W / 1 rad/m)^-w of the spatial frequency W, between
 the wavelengths of 2 m and 100 m. C is the unevenness index, w the waviness. Most frequent on seven measured
 runways were 0.13e-6 m^3/rad and 2.2, more waviness than ISO 8608 has for roads ("Spectrum parameters for
-runway roughness based on statistical and vibration analysis", Aeronautical Journal, abstract; it gives no
-unit, 1e-6 m^3/rad as for roads is assumed).
+runway roughness based on statistical and vibration analysis", abstract; it gives no unit, 1e-6 m^3/rad as
+for roads is assumed).
 
 The elevation is p(x) + q(y) with x along the runway and y across it, two profiles of this density. Lines
 along and across have it, lines between them up to 1.4 times as much. Each wheel is at its own place: the
