@@ -115,6 +115,11 @@ _CORE = {
         "bench.navigation.models.invariant_ekf:InvariantEkf",
         "InvariantOptions",
     ),
+    "ahrs": BuiltIn(
+        "attitude and gyro bias from IMU and magnetometer, without position",
+        "bench.navigation.models.ahrs:Ahrs",
+        "AhrsOptions",
+    ),
 }
 
 

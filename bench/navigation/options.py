@@ -342,6 +342,18 @@ class InvariantOptions(GateOptions):
     """Take the Earth as flat and at rest: no Earth rate, no change of gravity."""
 
 
+class AhrsOptions(GateOptions):
+    """Options of the attitude filter."""
+
+    magnetometer: bool = True
+    """Use the magnetic field if there is a magnetometer; else the heading is that of the start and drifts."""
+    gravity_period_s: Positive = 1.0
+    """Time over which the specific force is averaged before it is compared with gravity [s]."""
+    acceleration_sd: NotNegative = 0.3
+    """Standard deviation of the mean acceleration of a period, each axis, from one to the next independent
+    [m/s^2]; a larger acceleration is detected by the length of the specific force, and then counts too."""
+
+
 _OTHERWISE = {"readmit_after": "; use 'readmit_after_s', the time of rejections in seconds"}
 """What to use for options that files of others may still hold."""
 

@@ -40,7 +40,7 @@ _OWNERS: Mapping[str, int] = {
     **dict.fromkeys(("loose-full", "loose-mems", "error-ekf"), 1),
     **dict.fromkeys(("loose-15", "fixed-gain", "least-squares"), 2),
     **dict.fromkeys(("free-inertial", "complementary", "graph-smoother"), 6),
-    **dict.fromkeys(("smoother", "ukf", "gnss-only"), 4),
+    **dict.fromkeys(("smoother", "ukf", "gnss-only", "ahrs"), 4),
     **dict.fromkeys(("baro-inertial", "classic-22", "tight"), 5),
     **dict.fromkeys(("loose-22", "invariant-ekf", "autopilot"), 3),
 }

@@ -1,0 +1,323 @@
+"""An attitude filter (AHRS): gyros, gravity from the accelerometers, the magnetic field; no position.
+
+Error-state filter with twelve states: attitude phi_n and the biases of gyros, accelerometers and magnetometer,
+b. Errors are estimate minus truth, ``C_nb_est = exp([phi_n x]) C_nb_true``.
+
+The accelerometers are used as their mean over a period in axes n: averaged there, an acceleration counts by the
+change of velocity that it makes, as in VQF (D. Laidig, T. Seel, Information Fusion 91, 2023). With f = a - g,
+
+    f_n_est + g_n = phi_n x (-g_n) - C_nb db_a + a_n + noise,   |f|^2 = g^2 + a^2 if a is horizontal.
+
+``a`` is noise. Its variance is that of the options, and the a^2 that the length of f shows where it differs from
+g by more than three standard deviations. This counts once for each period that it has lasted, because an
+acceleration that lasts, as in a turn, is no white noise. A turn so widens the covariance and hardly moves the
+attitude.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from bench.core.compilation.compiled import kernel
+from bench.core.mathematics import earth, rotation
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.mathematics.earth import EARTH_RATE
+from bench.core.records.data import EventRow, Events, InitialState, NavSolution, SensorData
+from bench.core.records.instruments import MagSpec
+from bench.core.records.sensor_specs import AssumedSpecs, ImuSpec
+from bench.navigation.engine.gate import REFUSED, SOUND, InnovationGate, growth
+from bench.navigation.engine.integrity import nis
+from bench.navigation.engine.piecewise import InPieces
+from bench.navigation.engine.session import Kept
+from bench.navigation.engine.timeline import TIME_TOLERANCE
+from bench.navigation.error_state_filter.aiding_sensors import MAGNETOMETER, unmodeled
+from bench.navigation.error_state_filter.answers import answers as join_answers
+from bench.navigation.error_state_filter.error_state import StateLayout
+from bench.navigation.error_state_filter.measurement_rows import MAGNETIC, SENSORS
+from bench.navigation.error_state_filter.schedule import Schedule
+from bench.navigation.models.classic.process_model import bias_and_walk
+from bench.navigation.models.stepped_filters import Measurement, SteppedFilter, SteppedPassage
+from bench.navigation.options import AhrsOptions, read_options
+from bench.navigation.start import alignment
+from bench.simulation.signals.magnetic import field_n
+
+PHI, GYRO, ACCEL, IRON = (slice(k, k + 3) for k in (0, 3, 6, 9))
+GRAVITY = len(SENSORS)
+"""Code of the innovations of gravity."""
+
+_SHOWN = 3.0  # standard deviations by which |f| differs from g in an acceleration
+_LONGEST = 60.0  # an acceleration is remembered so long [s]
+_VAGUE = np.radians(20.0)  # above this sigma the heading is that of the magnetometer [rad]
+
+
+class Ahrs:
+    """Attitude, its covariance and the biases of the IMU; position and velocity are NaN.
+
+    Options: `bench.navigation.options.AhrsOptions`.
+
+    Examples
+    --------
+    >>> import bench
+    >>> result = bench.run("approach", estimators=["ahrs"], causes=False)
+    >>> bool(result.metrics("ahrs")["tilt_rmse_deg"] < 3.0)
+    True
+    """
+
+    def __init__(self, **options: Any) -> None:
+        self.options = read_options(AhrsOptions, options)
+
+    def run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
+        """Estimate attitude and biases."""
+        initial, events = alignment.complete(sensors, initial)
+        return self.in_pieces(sensors, initial, events).update(sensors, 0.0, last=True)
+
+    def in_pieces(self, first: SensorData, initial: InitialState, events: list[EventRow]) -> InPieces:
+        """Return the filter before its first piece (`piecewise.RunsInPieces`)."""
+        used = [MAGNETOMETER] if self.options.magnetometer and first.mag is not None else []
+        flight = AhrsFlight(self.options, first.specs, initial, first.date)
+        schedule = Schedule(initial.t, first.specs.imu, compensate=False, cut=True)
+        schedule.events += events
+        return SteppedPassage(flight, schedule, used, first, initial, StateLayout())
+
+    def unmodeled_errors(self, specs: AssumedSpecs) -> tuple[str, ...]:
+        """Return the errors of these sensors that the filter has no state for, in words."""
+        magnetic = self.options.magnetometer and specs.mag is not None
+        taken = {"magnetometer calibration"} if magnetic and _only_iron(specs.mag) else set[str]()
+        found = unmodeled(specs, [MAGNETOMETER] if magnetic else [], taken)
+        return ("sustained acceleration below what the length of the specific force shows", *found)
+
+
+def _only_iron(mag: MagSpec | None) -> bool:
+    """Return whether hard iron is the only error of the calibration."""
+    return mag is not None and not (mag.soft_iron_sd or mag.scale_factor_sd or mag.misalignment_sd)
+
+
+class AhrsFlight(SteppedFilter):
+    """The filter over one record (`stepped_filters.SteppedFilter`); P (12, 12)."""
+
+    C_nb: Kept[FloatArray]  # (3, 3)
+    bias: Kept[FloatArray]  # (9,) of gyro [rad/s], accelerometer [m/s^2], magnetometer [T], b
+    P: Kept[FloatArray]
+    sums: Kept[FloatArray]  # (3, 3) integral of C_nb since P is as it is [s]
+    gained: Kept[FloatArray]  # (3,) integral of specific force in the period of gravity [m/s], n
+    spans: Kept[FloatArray]  # (3,) [s] since P is as it is, in this period; variance of ``gained`` by gaps
+    unknown: Kept[float]  # variance of attitude by gaps since P is as it is [rad^2]
+    lasting: Kept[float]  # number of periods that an acceleration has lasted
+    gate: Kept[InnovationGate]
+
+    shapes = (16,), (9, 9), (6,)
+    one_antenna = False
+
+    def __init__(
+        self, options: AhrsOptions, specs: AssumedSpecs, initial: InitialState, date: float
+    ) -> None:
+        self.options, self.imu = options, specs.imu
+        lat, _, alt = initial.lla
+        self.w_n = EARTH_RATE * np.array([np.cos(lat), 0.0, -np.sin(lat)])
+        self.g_n = earth.gravity_n(lat, alt)
+        self.C_nb, self.bias = rotation.matrix(initial.q_nb), np.zeros(9)
+        self.P = np.zeros((12, 12))
+        self.P[PHI, PHI] = initial.cov[6:, 6:]
+        self.P[PHI, GYRO.start : IRON.start] = initial.bias_cov[6:]
+        self.P[GYRO.start : IRON.start, PHI] = initial.bias_cov[6:].T
+        self.walk = np.zeros(12)
+        for rows, triad in ((GYRO, specs.imu.gyro), (ACCEL, specs.imu.accel)):
+            start, walk = bias_and_walk(triad)
+            self.P[rows, rows] = np.eye(3) * start**2
+            self.walk[rows] = walk**2
+        self.field_n = np.zeros(3)
+        if options.magnetometer and specs.mag is not None:
+            self.field_n = field_n(initial.lla[None], date)[0]
+            self.P[IRON, IRON] = np.eye(3) * _iron_variance(specs.mag, self.field_n)
+        self.sums, self.gained, self.spans = np.zeros((3, 3)), np.zeros(3), np.zeros(3)
+        self.unknown, self.lasting, self.work = 0.0, 0.0, np.zeros((9, 3))
+        self.gate = InnovationGate(
+            (*SENSORS, "gravity"), initial.t, options.gate_probability, options.readmit_after_s
+        )
+
+    def increments(self, increments_b: FloatArray) -> FloatArray:
+        """Return increments as they are."""
+        return increments_b
+
+    def begin(self, dt: float, dtheta: FloatArray) -> None:
+        """Nothing is known of the first step in advance."""
+
+    def step(
+        self, now: float, dt: float, dtheta: FloatArray, dvel: FloatArray, unknown: FloatArray, due: bool
+    ) -> None:
+        """Advance by a step; use gravity at the end of its period."""
+        turn_kernel(
+            self.C_nb, self.bias, self.w_n, dt, dtheta, dvel, self.sums, self.gained, self.spans, self.work
+        )
+        self.spans[2] += unknown[0]
+        self.unknown += float(unknown[1])
+        if self.spans[1] >= self.options.gravity_period_s - TIME_TOLERANCE:
+            self._use_gravity(now)
+
+    def measure(self, now: float, arrived: list[Measurement]) -> None:
+        """Use the magnetometer."""
+        for _, values, variance in arrived:
+            self._use_field(now, values[:3], variance[:3])
+
+    def answer(self, now: float) -> tuple[FloatArray, ...]:
+        """Return state and biases (16,), the covariance (9, 9) and the variances of the biases (6,)."""
+        self._propagate()
+        cov = np.full((9, 9), np.nan)
+        cov[6:, 6:] = self.P[PHI, PHI]
+        state = np.concatenate([np.full(6, np.nan), rotation.from_matrix(self.C_nb), self.bias[:6]])
+        return state, cov, np.diag(self.P)[GYRO.start : IRON.start].copy()
+
+    def solution(
+        self, t: FloatArray, answers: Sequence[FloatArray], events: list[EventRow], *, last: bool
+    ) -> NavSolution:
+        """Return the solution at epochs (M,) [s], with the innovations since the last call."""
+        table, refused = self.gate.take(last=last)
+        state, cov, variance = answers
+        return join_answers(
+            t, StateLayout(), state, cov, variance, table, Events.from_rows(events + refused)
+        )
+
+    def _propagate(self) -> None:
+        """Bring P to the time of the attitude."""
+        T = float(self.spans[0])
+        if T <= 0.0:
+            return
+        F = np.eye(12)
+        F[PHI, PHI] -= rotation.skew(self.w_n) * T
+        F[PHI, GYRO] = -self.sums
+        C = self.sums / T
+        Q = np.diag(self.walk * T)
+        Q[PHI, PHI] = (self.C_nb * self.imu.gyro.by_axis("random_walk") ** 2) @ self.C_nb.T * T
+        Q[PHI, PHI] += np.eye(3) * (self.unknown + self.walk[GYRO.start] * T**3 / 3.0)
+        Q[PHI, GYRO] = -C * self.walk[GYRO.start] * T**2 / 2.0
+        Q[GYRO, PHI] = Q[PHI, GYRO].T
+        P = F @ self.P @ F.T + Q
+        self.P = 0.5 * (P + P.T)
+        self.sums, self.unknown = np.zeros((3, 3)), 0.0
+        self.spans[0] = 0.0
+
+    def _use_gravity(self, t: float) -> None:
+        """Compare the mean specific force of the period that ends with gravity."""
+        self._propagate()
+        T, g, C = float(self.spans[1]), float(self.g_n[2]), self.C_nb
+        f_n = self.gained / T
+        white = (C * self.imu.accel.by_axis("random_walk") ** 2) @ C.T / T + np.eye(3) * self.spans[2] / T**2
+        self.gained, self.spans[1:] = np.zeros(3), 0.0
+        length = float(np.linalg.norm(f_n))
+        along = f_n / length if length > 0.0 else self.g_n / g
+        spread = float(along @ (C @ self.P[ACCEL, ACCEL] @ C.T + white) @ along)
+        shown = (length - g) ** 2 > _SHOWN**2 * spread
+        self.lasting = min(self.lasting + 1.0, _LONGEST / T) if shown else 0.0
+        moved = self.options.acceleration_sd**2 + self.lasting * abs(length**2 - g**2)
+        H = np.zeros((3, 12))
+        H[:, PHI], H[:, ACCEL] = rotation.skew(self.g_n), -C
+        self._update(t, GRAVITY, f_n + self.g_n, H, white + np.eye(3) * moved, slice(0, 2))
+
+    def _use_field(self, t: float, field_b: FloatArray, variance: FloatArray) -> None:
+        """Compare the magnetic field measured (3,) [T], b, with the field of the model."""
+        self._propagate()
+        R = (self.C_nb * variance) @ self.C_nb.T
+        found_n = self.C_nb @ (field_b - self.bias[6:])
+        if self.P[2, 2] > _VAGUE**2:
+            found_n, R = self._take_heading(found_n, R)
+        H = np.zeros((3, 12))
+        H[:, PHI], H[:, IRON] = -rotation.skew(self.field_n), -self.C_nb
+        self._update(t, MAGNETIC, found_n - self.field_n, H, R, IRON)
+
+    def _take_heading(self, found_n: FloatArray, R: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Turn to the heading of a measured field (3,) [T], n; return it and its R in the turned axes."""
+        off = np.arctan2(found_n[1], found_n[0]) - np.arctan2(self.field_n[1], self.field_n[0])
+        turn = rotation.matrix(rotation.from_rotvec(np.array([0.0, 0.0, -off])))
+        whole = np.eye(12)
+        whole[PHI, PHI] = turn
+        self.P = whole @ self.P @ whole.T
+        self.C_nb, self.gained = turn @ self.C_nb, turn @ self.gained
+        return turn @ found_n, turn @ R @ turn.T
+
+    def _update(
+        self, t: float, code: int, d: FloatArray, H: FloatArray, R: FloatArray, opened: slice
+    ) -> None:
+        """Gate and use d (3,) = H x + noise of covariance R; ``opened`` states may have made a step."""
+        S = H @ self.P @ H.T + R
+        value = nis(d, S)
+        sound = value <= self.gate.limits[3]
+        verdict = self.gate.decide(t, code, -d, np.diag(S), value, sound=sound)
+        if verdict == REFUSED:
+            return
+        if verdict != SOUND:
+            opens = np.zeros(12, np.bool_)
+            opens[opened] = True
+            E = growth(verdict, self.P @ H.T @ np.linalg.solve(S, d), H, d, opens)
+            self.P = self.P + E @ E.T
+            S = H @ self.P @ H.T + R
+        K = np.linalg.solve(S, H @ self.P).T
+        J = np.eye(12) - K @ H
+        P = J @ self.P @ J.T + K @ R @ K.T
+        self.P = 0.5 * (P + P.T)
+        x = K @ d
+        turn = rotation.matrix(rotation.from_rotvec(-x[PHI]))
+        self.C_nb, self.gained = turn @ self.C_nb, turn @ self.gained
+        self.bias = self.bias - x[GYRO.start :]
+
+
+def _iron_variance(mag: MagSpec, field: FloatArray) -> float:
+    """Return the variance of the error of calibration of an axis [T^2] in a field (3,) [T], n."""
+    shares = mag.soft_iron_sd**2 + mag.scale_factor_sd**2 + mag.misalignment_sd**2
+    return mag.hard_iron_sd**2 + shares * float(field @ field)
+
+
+@kernel
+def turn_kernel(
+    C_nb: FloatArray,
+    bias: FloatArray,
+    w_n: FloatArray,
+    dt: float,
+    dtheta: FloatArray,
+    dvel: FloatArray,
+    sums: FloatArray,
+    gained: FloatArray,
+    spans: FloatArray,
+    work: FloatArray,
+) -> None:
+    """Turn C_nb (3, 3) by a step in place; add to ``sums``, ``gained`` and the first two ``spans``.
+
+    ``work`` (9, 3) is memory.
+    """
+    turn, push, half, old, step = work[0], work[1], work[2], work[3:6], work[6:9]
+    for i in range(3):
+        turn[i] = dtheta[i] - bias[i] * dt
+        push[i] = dvel[i] - bias[3 + i] * dt
+        for j in range(3):
+            old[i, j] = C_nb[i, j]
+            turn[i] -= C_nb[j, i] * w_n[j] * dt
+    x, y, z = turn[0], turn[1], turn[2]
+    size2 = x * x + y * y + z * z
+    size = np.sqrt(size2)
+    s, c = 1.0 - size2 / 6.0, 0.5 - size2 / 24.0
+    if size > 1e-3:
+        s, c = np.sin(size) / size, (1.0 - np.cos(size)) / size2
+    half[0] = push[0] + 0.5 * (y * push[2] - z * push[1])
+    half[1] = push[1] + 0.5 * (z * push[0] - x * push[2])
+    half[2] = push[2] + 0.5 * (x * push[1] - y * push[0])
+    for i in range(3):
+        for j in range(3):
+            step[i, j] = c * turn[i] * turn[j]
+        step[i, i] += 1.0 - c * size2
+    step[0, 1] -= s * z
+    step[1, 0] += s * z
+    step[0, 2] += s * y
+    step[2, 0] -= s * y
+    step[1, 2] -= s * x
+    step[2, 1] += s * x
+    for i in range(3):
+        for j in range(3):
+            gained[i] += old[i, j] * half[j]
+            C_nb[i, j] = 0.0
+            for k in range(3):
+                C_nb[i, j] += old[i, k] * step[k, j]
+            sums[i, j] += 0.5 * (old[i, j] + C_nb[i, j]) * dt
+    spans[0] += dt
+    spans[1] += dt
