@@ -1,7 +1,8 @@
 """An attitude filter (AHRS): gyros, gravity from the accelerometers, the magnetic field; no position.
 
-Error-state filter with twelve states: attitude phi_n and the biases of gyros, accelerometers and magnetometer,
-b. Errors are estimate minus truth, ``C_nb_est = exp([phi_n x]) C_nb_true``.
+Error-state filter: attitude phi_n, the biases of gyros and accelerometers, scale factors and misalignments of
+the gyros; with a magnetometer its iron and its matrix of calibration. Errors are estimate minus truth,
+``C_nb_est = exp([phi_n x]) C_nb_true``.
 
 The accelerometers are used as their mean over a period in axes n: averaged there, an acceleration counts by the
 change of velocity that it makes, as in VQF (D. Laidig, T. Seel, Information Fusion 91, 2023). With f = a - g,
@@ -44,12 +45,15 @@ from bench.navigation.options import AhrsOptions, read_options
 from bench.navigation.start import alignment
 from bench.simulation.signals.magnetic import field_n
 
-PHI, GYRO, ACCEL, IRON = (slice(k, k + 3) for k in (0, 3, 6, 9))
+PHI, GYRO, ACCEL, IRON = (slice(k, k + 3) for k in (0, 3, 6, 18))
+TURN, CALIBRATION = slice(9, 18), slice(21, 30)
+"""Matrices of gyros and magnetometer, row by row; without a magnetometer there are only the first 18 states."""
 GRAVITY = len(SENSORS)
 """Code of the innovations of gravity."""
 
 _SHOWN = 3.0  # standard deviations by which |f| differs from g in an acceleration
 _LONGEST = 60.0  # an acceleration is remembered so long [s]
+_MODELED = ("gyro scale factor", "gyro misalignment", "gyro non-orthogonality", "magnetometer calibration")
 _VAGUE = np.radians(20.0)  # above this sigma the heading is that of the magnetometer [rad]
 
 
@@ -85,23 +89,17 @@ class Ahrs:
     def unmodeled_errors(self, specs: AssumedSpecs) -> tuple[str, ...]:
         """Return the errors of these sensors that the filter has no state for, in words."""
         magnetic = self.options.magnetometer and specs.mag is not None
-        taken = {"magnetometer calibration"} if magnetic and _only_iron(specs.mag) else set[str]()
-        found = unmodeled(specs, [MAGNETOMETER] if magnetic else [], taken)
+        found = unmodeled(specs, [MAGNETOMETER] if magnetic else [], _MODELED)
         return ("sustained acceleration below what the length of the specific force shows", *found)
 
 
-def _only_iron(mag: MagSpec | None) -> bool:
-    """Return whether hard iron is the only error of the calibration."""
-    return mag is not None and not (mag.soft_iron_sd or mag.scale_factor_sd or mag.misalignment_sd)
-
-
 class AhrsFlight(SteppedFilter):
-    """The filter over one record (`stepped_filters.SteppedFilter`); P (12, 12)."""
+    """The filter over one record (`stepped_filters.SteppedFilter`), of 18 or 30 states."""
 
     C_nb: Kept[FloatArray]  # (3, 3)
-    bias: Kept[FloatArray]  # (9,) of gyro [rad/s], accelerometer [m/s^2], magnetometer [T], b
+    wrong: Kept[FloatArray]  # (n - 3,) the states but attitude: [rad/s], [m/s^2], [1], and [T], [1], b
     P: Kept[FloatArray]
-    sums: Kept[FloatArray]  # (3, 3) integral of C_nb since P is as it is [s]
+    sums: Kept[FloatArray]  # (3, 12) integral of C_nb, and by the rates, since P is as it is [s], [rad]
     gained: Kept[FloatArray]  # (3,) integral of specific force in the period of gravity [m/s], n
     spans: Kept[FloatArray]  # (3,) [s] since P is as it is, in this period; variance of ``gained`` by gaps
     unknown: Kept[float]  # variance of attitude by gaps since P is as it is [rad^2]
@@ -118,21 +116,26 @@ class AhrsFlight(SteppedFilter):
         lat, _, alt = initial.lla
         self.w_n = EARTH_RATE * np.array([np.cos(lat), 0.0, -np.sin(lat)])
         self.g_n = earth.gravity_n(lat, alt)
-        self.C_nb, self.bias = rotation.matrix(initial.q_nb), np.zeros(9)
-        self.P = np.zeros((12, 12))
+        self.C_nb, gyro = rotation.matrix(initial.q_nb), specs.imu.gyro
+        magnetic = options.magnetometer and specs.mag is not None
+        n = 30 if magnetic else 18
+        self.P, self.walk, self.wrong = np.zeros((n, n)), np.zeros(n), np.zeros(n - 3)
         self.P[PHI, PHI] = initial.cov[6:, 6:]
-        self.P[PHI, GYRO.start : IRON.start] = initial.bias_cov[6:]
-        self.P[GYRO.start : IRON.start, PHI] = initial.bias_cov[6:].T
-        self.walk = np.zeros(12)
-        for rows, triad in ((GYRO, specs.imu.gyro), (ACCEL, specs.imu.accel)):
+        self.P[PHI, 3:9], self.P[3:9, PHI] = initial.bias_cov[6:], initial.bias_cov[6:].T
+        for rows, triad in ((GYRO, gyro), (ACCEL, specs.imu.accel)):
             start, walk = bias_and_walk(triad)
             self.P[rows, rows] = np.eye(3) * start**2
             self.walk[rows] = walk**2
+        tilted = gyro.misalignment_sd**2 + gyro.nonorthogonality_sd**2
+        turned = np.full((3, 3), tilted) + np.diag(gyro.by_axis("scale_factor_sd") ** 2 - tilted)
+        self.P[TURN, TURN] = np.diag(turned.ravel())
         self.field_n = np.zeros(3)
-        if options.magnetometer and specs.mag is not None:
+        if magnetic:
+            assert specs.mag is not None
             self.field_n = field_n(initial.lla[None], date)[0]
-            self.P[IRON, IRON] = np.eye(3) * _iron_variance(specs.mag, self.field_n)
-        self.sums, self.gained, self.spans = np.zeros((3, 3)), np.zeros(3), np.zeros(3)
+            self.P[IRON, IRON] = np.eye(3) * specs.mag.hard_iron_sd**2
+            self.P[CALIBRATION, CALIBRATION] = _calibration(specs.mag)
+        self.sums, self.gained, self.spans = np.zeros((3, 12)), np.zeros(3), np.zeros(3)
         self.unknown, self.lasting, self.work = 0.0, 0.0, np.zeros((9, 3))
         self.gate = InnovationGate(
             (*SENSORS, "gravity"), initial.t, options.gate_probability, options.readmit_after_s
@@ -150,7 +153,7 @@ class AhrsFlight(SteppedFilter):
     ) -> None:
         """Advance by a step; use gravity at the end of its period."""
         turn_kernel(
-            self.C_nb, self.bias, self.w_n, dt, dtheta, dvel, self.sums, self.gained, self.spans, self.work
+            self.C_nb, self.wrong, self.w_n, dt, dtheta, dvel, self.sums, self.gained, self.spans, self.work
         )
         self.spans[2] += unknown[0]
         self.unknown += float(unknown[1])
@@ -167,8 +170,8 @@ class AhrsFlight(SteppedFilter):
         self._propagate()
         cov = np.full((9, 9), np.nan)
         cov[6:, 6:] = self.P[PHI, PHI]
-        state = np.concatenate([np.full(6, np.nan), rotation.from_matrix(self.C_nb), self.bias[:6]])
-        return state, cov, np.diag(self.P)[GYRO.start : IRON.start].copy()
+        state = np.concatenate([np.full(6, np.nan), rotation.from_matrix(self.C_nb), self.wrong[:6]])
+        return state, cov, np.diag(self.P)[3:9].copy()
 
     def solution(
         self, t: FloatArray, answers: Sequence[FloatArray], events: list[EventRow], *, last: bool
@@ -185,10 +188,10 @@ class AhrsFlight(SteppedFilter):
         T = float(self.spans[0])
         if T <= 0.0:
             return
-        F = np.eye(12)
+        F = np.eye(len(self.P))
         F[PHI, PHI] -= rotation.skew(self.w_n) * T
-        F[PHI, GYRO] = -self.sums
-        C = self.sums / T
+        F[PHI, GYRO], F[PHI, TURN] = -self.sums[:, :3], -self.sums[:, 3:]
+        C = self.sums[:, :3] / T
         Q = np.diag(self.walk * T)
         Q[PHI, PHI] = (self.C_nb * self.imu.gyro.by_axis("random_walk") ** 2) @ self.C_nb.T * T
         Q[PHI, PHI] += np.eye(3) * (self.unknown + self.walk[GYRO.start] * T**3 / 3.0)
@@ -196,7 +199,7 @@ class AhrsFlight(SteppedFilter):
         Q[GYRO, PHI] = Q[PHI, GYRO].T
         P = F @ self.P @ F.T + Q
         self.P = 0.5 * (P + P.T)
-        self.sums, self.unknown = np.zeros((3, 3)), 0.0
+        self.sums, self.unknown = np.zeros((3, 12)), 0.0
         self.spans[0] = 0.0
 
     def _use_gravity(self, t: float) -> None:
@@ -212,7 +215,7 @@ class AhrsFlight(SteppedFilter):
         shown = (length - g) ** 2 > _SHOWN**2 * spread
         self.lasting = min(self.lasting + 1.0, _LONGEST / T) if shown else 0.0
         moved = self.options.acceleration_sd**2 + self.lasting * abs(length**2 - g**2)
-        H = np.zeros((3, 12))
+        H = np.zeros((3, len(self.P)))
         H[:, PHI], H[:, ACCEL] = rotation.skew(self.g_n), -C
         self._update(t, GRAVITY, f_n + self.g_n, H, white + np.eye(3) * moved, slice(0, 2))
 
@@ -220,18 +223,21 @@ class AhrsFlight(SteppedFilter):
         """Compare the magnetic field measured (3,) [T], b, with the field of the model."""
         self._propagate()
         R = (self.C_nb * variance) @ self.C_nb.T
-        found_n = self.C_nb @ (field_b - self.bias[6:])
+        p_b = self.C_nb.T @ self.field_n
+        iron, matrix = self.wrong[15:18], self.wrong[18:].reshape(3, 3)
+        found_n = self.C_nb @ (field_b - iron - matrix @ p_b)
         if self.P[2, 2] > _VAGUE**2:
             found_n, R = self._take_heading(found_n, R)
-        H = np.zeros((3, 12))
+        H = np.zeros((3, len(self.P)))
         H[:, PHI], H[:, IRON] = -rotation.skew(self.field_n), -self.C_nb
+        H[:, CALIBRATION] = -np.einsum("ai,j->aij", self.C_nb, p_b).reshape(3, 9)
         self._update(t, MAGNETIC, found_n - self.field_n, H, R, IRON)
 
     def _take_heading(self, found_n: FloatArray, R: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Turn to the heading of a measured field (3,) [T], n; return it and its R in the turned axes."""
         off = np.arctan2(found_n[1], found_n[0]) - np.arctan2(self.field_n[1], self.field_n[0])
         turn = rotation.matrix(rotation.from_rotvec(np.array([0.0, 0.0, -off])))
-        whole = np.eye(12)
+        whole = np.eye(len(self.P))
         whole[PHI, PHI] = turn
         self.P = whole @ self.P @ whole.T
         self.C_nb, self.gained = turn @ self.C_nb, turn @ self.gained
@@ -248,31 +254,34 @@ class AhrsFlight(SteppedFilter):
         if verdict == REFUSED:
             return
         if verdict != SOUND:
-            opens = np.zeros(12, np.bool_)
+            opens = np.zeros(len(self.P), np.bool_)
             opens[opened] = True
             E = growth(verdict, self.P @ H.T @ np.linalg.solve(S, d), H, d, opens)
             self.P = self.P + E @ E.T
             S = H @ self.P @ H.T + R
         K = np.linalg.solve(S, H @ self.P).T
-        J = np.eye(12) - K @ H
+        J = np.eye(len(self.P)) - K @ H
         P = J @ self.P @ J.T + K @ R @ K.T
         self.P = 0.5 * (P + P.T)
         x = K @ d
         turn = rotation.matrix(rotation.from_rotvec(-x[PHI]))
         self.C_nb, self.gained = turn @ self.C_nb, turn @ self.gained
-        self.bias = self.bias - x[GYRO.start :]
+        self.wrong = self.wrong - x[3:]
 
 
-def _iron_variance(mag: MagSpec, field: FloatArray) -> float:
-    """Return the variance of the error of calibration of an axis [T^2] in a field (3,) [T], n."""
-    shares = mag.soft_iron_sd**2 + mag.scale_factor_sd**2 + mag.misalignment_sd**2
-    return mag.hard_iron_sd**2 + shares * float(field @ field)
+def _calibration(mag: MagSpec) -> FloatArray:
+    """Return the covariance (9, 9) of the matrix of calibration [1], row by row; soft iron is symmetric."""
+    soft, rows = mag.soft_iron_sd**2, np.arange(9).reshape(3, 3)
+    cov = np.diag(np.where(np.eye(3) > 0, mag.scale_factor_sd**2, mag.misalignment_sd**2).ravel())
+    cov[rows, rows] += soft
+    cov[rows, rows.T] = np.where(np.eye(3) > 0, cov[rows, rows], soft)
+    return cov
 
 
 @kernel
 def turn_kernel(
     C_nb: FloatArray,
-    bias: FloatArray,
+    wrong: FloatArray,
     w_n: FloatArray,
     dt: float,
     dtheta: FloatArray,
@@ -288,9 +297,10 @@ def turn_kernel(
     """
     turn, push, half, old, step = work[0], work[1], work[2], work[3:6], work[6:9]
     for i in range(3):
-        turn[i] = dtheta[i] - bias[i] * dt
-        push[i] = dvel[i] - bias[3 + i] * dt
+        turn[i] = dtheta[i] - wrong[i] * dt
+        push[i] = dvel[i] - wrong[3 + i] * dt
         for j in range(3):
+            turn[i] -= wrong[6 + 3 * i + j] * dtheta[j]
             old[i, j] = C_nb[i, j]
             turn[i] -= C_nb[j, i] * w_n[j] * dt
     x, y, z = turn[0], turn[1], turn[2]
@@ -318,6 +328,9 @@ def turn_kernel(
             C_nb[i, j] = 0.0
             for k in range(3):
                 C_nb[i, j] += old[i, k] * step[k, j]
-            sums[i, j] += 0.5 * (old[i, j] + C_nb[i, j]) * dt
+            mean = 0.5 * (old[i, j] + C_nb[i, j])
+            sums[i, j] += mean * dt
+            for k in range(3):
+                sums[i, 3 + 3 * j + k] += mean * dtheta[k]
     spans[0] += dt
     spans[1] += dt
