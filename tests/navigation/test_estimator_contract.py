@@ -81,7 +81,7 @@ def shorten(data, name):
 def test_they_refuse_only_what_has_no_datasheet(sensed, name):
     """A record of a sensor without an assumed unit cannot be weighed; the message says which."""
     data = replace(sensed.data, specs=replace(sensed.data.specs, gnss=None, baro=None))
-    if name == "free-inertial":
+    if name in ("free-inertial", "ahrs"):
         bench.check_estimator(load(name, {}), data, sensed.initial)
         return
     if name not in ("gnss-only", "invariant-ekf", "graph-smoother"):  # no barometer
@@ -98,7 +98,7 @@ def test_what_they_need_is_said_before_the_flight(name):
     """With all sensors none complains; without GNSS only those of IMU and barometer are content."""
     built = load(name, {})
     check_needs(built, name, {"fixes", "observations", "baro"})
-    if name in ("free-inertial", "baro-inertial"):
+    if name in ("free-inertial", "baro-inertial", "ahrs"):
         check_needs(built, name, {"baro"})
     else:
         with pytest.raises(EstimatorError, match=rf"filter '{name}' needs a gnss.*; there is none"):

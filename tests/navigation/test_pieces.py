@@ -51,6 +51,7 @@ OTHERS = {
     "complementary": {},
     "least-squares": {},
     "invariant-ekf": {},
+    "ahrs": {"gravity_period_s": 0.3},
 }
 
 

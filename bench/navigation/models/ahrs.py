@@ -1,16 +1,17 @@
 """An attitude filter (AHRS): gyros, gravity from the accelerometers, the magnetic field; no position.
 
-Error-state filter: attitude phi_n, the biases of gyros and accelerometers, scale factors and misalignments of
+Error-state filter: attitude phi_b, the biases of gyros and accelerometers, scale factors and misalignments of
 the gyros; with a magnetometer its iron and its matrix of calibration. Errors are estimate minus truth,
-``C_nb_est = exp([phi_n x]) C_nb_true``.
+``C_nb_est = C_nb_true exp([phi_b x])``: in axes b the biases act the same at any heading, known or not.
 
-The accelerometers are used as their mean over a period in axes n: averaged there, an acceleration counts by the
-change of velocity that it makes, as in VQF (D. Laidig, T. Seel, Information Fusion 91, 2023). With f = a - g,
+The accelerometers are used as their mean over a period in axes n: averaged there, an acceleration counts by
+the change of velocity that it makes, as in VQF (D. Laidig, T. Seel, Information Fusion 91, 2023).
+With f = a - g,
 
-    f_n_est + g_n = phi_n x (-g_n) - C_nb db_a + a_n + noise,   |f|^2 = g^2 + a^2 if a is horizontal.
+    f_est + g = g x phi - db_a + a + noise,   |f|^2 = g^2 + a^2 if a is horizontal.
 
-``a`` is noise. Its variance is that of the options, and the a^2 that the length of f shows where it differs from
-g by more than three standard deviations. This counts once for each period that it has lasted, because an
+``a`` is noise. Its variance is that of the options, and the a^2 that the length of f shows where it differs
+from g by more than three standard deviations. This counts once for each period that it has lasted, because an
 acceleration that lasts, as in a turn, is no white noise. A turn so widens the covariance and hardly moves the
 attitude.
 """
@@ -28,7 +29,7 @@ from bench.core.mathematics.arrays import FloatArray
 from bench.core.mathematics.earth import EARTH_RATE
 from bench.core.records.data import EventRow, Events, InitialState, NavSolution, SensorData
 from bench.core.records.instruments import MagSpec
-from bench.core.records.sensor_specs import AssumedSpecs, ImuSpec
+from bench.core.records.sensor_specs import AssumedSpecs
 from bench.navigation.engine.gate import REFUSED, SOUND, InnovationGate, growth
 from bench.navigation.engine.integrity import nis
 from bench.navigation.engine.piecewise import InPieces
@@ -47,7 +48,7 @@ from bench.simulation.signals.magnetic import field_n
 
 PHI, GYRO, ACCEL, IRON = (slice(k, k + 3) for k in (0, 3, 6, 18))
 TURN, CALIBRATION = slice(9, 18), slice(21, 30)
-"""Matrices of gyros and magnetometer, row by row; without a magnetometer there are only the first 18 states."""
+"""Matrices of gyros and magnetometer, row by row; the states from 18 on are those of a magnetometer."""
 GRAVITY = len(SENSORS)
 """Code of the innovations of gravity."""
 
@@ -100,7 +101,8 @@ class AhrsFlight(SteppedFilter):
     wrong: Kept[FloatArray]  # (n - 3,) the states but attitude: [rad/s], [m/s^2], [1], and [T], [1], b
     P: Kept[FloatArray]
     sums: Kept[FloatArray]  # (3, 12) integral of C_nb, and by the rates, since P is as it is [s], [rad]
-    gained: Kept[FloatArray]  # (3,) integral of specific force in the period of gravity [m/s], n
+    gained: Kept[FloatArray]  # (3, 16) integrals in this period: specific force, n, C_nb, ``sums`` by time
+    before: Kept[FloatArray]  # (3, 3) C_nb when P was as it is
     spans: Kept[FloatArray]  # (3,) [s] since P is as it is, in this period; variance of ``gained`` by gaps
     unknown: Kept[float]  # variance of attitude by gaps since P is as it is [rad^2]
     lasting: Kept[float]  # number of periods that an acceleration has lasted
@@ -109,9 +111,7 @@ class AhrsFlight(SteppedFilter):
     shapes = (16,), (9, 9), (6,)
     one_antenna = False
 
-    def __init__(
-        self, options: AhrsOptions, specs: AssumedSpecs, initial: InitialState, date: float
-    ) -> None:
+    def __init__(self, options: AhrsOptions, specs: AssumedSpecs, initial: InitialState, date: float) -> None:
         self.options, self.imu = options, specs.imu
         lat, _, alt = initial.lla
         self.w_n = EARTH_RATE * np.array([np.cos(lat), 0.0, -np.sin(lat)])
@@ -120,8 +120,9 @@ class AhrsFlight(SteppedFilter):
         magnetic = options.magnetometer and specs.mag is not None
         n = 30 if magnetic else 18
         self.P, self.walk, self.wrong = np.zeros((n, n)), np.zeros(n), np.zeros(n - 3)
-        self.P[PHI, PHI] = initial.cov[6:, 6:]
-        self.P[PHI, 3:9], self.P[3:9, PHI] = initial.bias_cov[6:], initial.bias_cov[6:].T
+        across = self.C_nb.T @ initial.bias_cov[6:]
+        self.P[PHI, PHI] = self.C_nb.T @ initial.cov[6:, 6:] @ self.C_nb
+        self.P[PHI, 3:9], self.P[3:9, PHI] = across, across.T
         for rows, triad in ((GYRO, gyro), (ACCEL, specs.imu.accel)):
             start, walk = bias_and_walk(triad)
             self.P[rows, rows] = np.eye(3) * start**2
@@ -135,7 +136,8 @@ class AhrsFlight(SteppedFilter):
             self.field_n = field_n(initial.lla[None], date)[0]
             self.P[IRON, IRON] = np.eye(3) * specs.mag.hard_iron_sd**2
             self.P[CALIBRATION, CALIBRATION] = _calibration(specs.mag)
-        self.sums, self.gained, self.spans = np.zeros((3, 12)), np.zeros(3), np.zeros(3)
+        self.sums, self.gained, self.spans = np.zeros((3, 12)), np.zeros((3, 16)), np.zeros(3)
+        self.before = self.C_nb.copy()
         self.unknown, self.lasting, self.work = 0.0, 0.0, np.zeros((9, 3))
         self.gate = InnovationGate(
             (*SENSORS, "gravity"), initial.t, options.gate_probability, options.readmit_after_s
@@ -169,7 +171,7 @@ class AhrsFlight(SteppedFilter):
         """Return state and biases (16,), the covariance (9, 9) and the variances of the biases (6,)."""
         self._propagate()
         cov = np.full((9, 9), np.nan)
-        cov[6:, 6:] = self.P[PHI, PHI]
+        cov[6:, 6:] = self.C_nb @ self.P[PHI, PHI] @ self.C_nb.T
         state = np.concatenate([np.full(6, np.nan), rotation.from_matrix(self.C_nb), self.wrong[:6]])
         return state, cov, np.diag(self.P)[3:9].copy()
 
@@ -179,69 +181,66 @@ class AhrsFlight(SteppedFilter):
         """Return the solution at epochs (M,) [s], with the innovations since the last call."""
         table, refused = self.gate.take(last=last)
         state, cov, variance = answers
-        return join_answers(
-            t, StateLayout(), state, cov, variance, table, Events.from_rows(events + refused)
-        )
+        return join_answers(t, StateLayout(), state, cov, variance, table, Events.from_rows(events + refused))
 
     def _propagate(self) -> None:
         """Bring P to the time of the attitude."""
         T = float(self.spans[0])
         if T <= 0.0:
             return
-        F = np.eye(len(self.P))
-        F[PHI, PHI] -= rotation.skew(self.w_n) * T
-        F[PHI, GYRO], F[PHI, TURN] = -self.sums[:, :3], -self.sums[:, 3:]
-        C = self.sums[:, :3] / T
+        F, C_bn = np.eye(len(self.P)), self.C_nb.T
+        F[PHI, PHI] = C_bn @ (self.before - T * np.cross(self.w_n, self.before, axisb=0, axisc=0))
+        F[PHI, GYRO], F[PHI, TURN] = -C_bn @ self.sums[:, :3], -C_bn @ self.sums[:, 3:]
         Q = np.diag(self.walk * T)
-        Q[PHI, PHI] = (self.C_nb * self.imu.gyro.by_axis("random_walk") ** 2) @ self.C_nb.T * T
-        Q[PHI, PHI] += np.eye(3) * (self.unknown + self.walk[GYRO.start] * T**3 / 3.0)
-        Q[PHI, GYRO] = -C * self.walk[GYRO.start] * T**2 / 2.0
+        added = self.unknown + self.walk[GYRO.start] * T**3 / 3.0
+        Q[PHI, PHI] = np.diag(self.imu.gyro.by_axis("random_walk") ** 2 * T + added)
+        Q[PHI, GYRO] = F[PHI, GYRO] * self.walk[GYRO.start] * T / 2.0
         Q[GYRO, PHI] = Q[PHI, GYRO].T
-        P = F @ self.P @ F.T + Q
-        self.P = 0.5 * (P + P.T)
-        self.sums, self.unknown = np.zeros((3, 12)), 0.0
+        self._keep(F @ self.P @ F.T + Q)
+        self.sums, self.unknown, self.before = np.zeros((3, 12)), 0.0, self.C_nb.copy()
         self.spans[0] = 0.0
+
+    def _keep(self, P: FloatArray) -> None:
+        self.P = 0.5 * (P + P.T)
 
     def _use_gravity(self, t: float) -> None:
         """Compare the mean specific force of the period that ends with gravity."""
         self._propagate()
-        T, g, C = float(self.spans[1]), float(self.g_n[2]), self.C_nb
-        f_n = self.gained / T
-        white = (C * self.imu.accel.by_axis("random_walk") ** 2) @ C.T / T + np.eye(3) * self.spans[2] / T**2
-        self.gained, self.spans[1:] = np.zeros(3), 0.0
-        length = float(np.linalg.norm(f_n))
-        along = f_n / length if length > 0.0 else self.g_n / g
-        spread = float(along @ (C @ self.P[ACCEL, ACCEL] @ C.T + white) @ along)
+        T, g = float(self.spans[1]), float(self.g_n[2])
+        f_b, mean, turned = np.split(self.C_nb.T @ self.gained / T, [1, 4], axis=1)
+        f_b = f_b[:, 0]
+        white = np.diag(self.imu.accel.by_axis("random_walk") ** 2 / T + self.spans[2] / T**2)
+        self.gained, self.spans[1:] = np.zeros((3, 16)), 0.0
+        length, g_b = float(np.linalg.norm(f_b)), self.C_nb.T @ self.g_n
+        along = f_b / length if length > 0.0 else g_b / g
+        spread = float(along @ (mean @ self.P[ACCEL, ACCEL] @ mean.T + white) @ along)
         shown = (length - g) ** 2 > _SHOWN**2 * spread
         self.lasting = min(self.lasting + 1.0, _LONGEST / T) if shown else 0.0
         moved = self.options.acceleration_sd**2 + self.lasting * abs(length**2 - g**2)
         H = np.zeros((3, len(self.P)))
-        H[:, PHI], H[:, ACCEL] = rotation.skew(self.g_n), -C
-        self._update(t, GRAVITY, f_n + self.g_n, H, white + np.eye(3) * moved, slice(0, 2))
+        H[:, PHI], H[:, ACCEL] = rotation.skew(g_b), -mean
+        for rows, part in ((GYRO, turned[:, :3]), (TURN, turned[:, 3:])):  # the attitude was another before
+            H[:, rows] = H[:, PHI] @ part
+        self._update(t, GRAVITY, f_b + g_b, H, white + np.eye(3) * moved, PHI)
 
     def _use_field(self, t: float, field_b: FloatArray, variance: FloatArray) -> None:
         """Compare the magnetic field measured (3,) [T], b, with the field of the model."""
         self._propagate()
-        R = (self.C_nb * variance) @ self.C_nb.T
-        p_b = self.C_nb.T @ self.field_n
         iron, matrix = self.wrong[15:18], self.wrong[18:].reshape(3, 3)
-        found_n = self.C_nb @ (field_b - iron - matrix @ p_b)
-        if self.P[2, 2] > _VAGUE**2:
-            found_n, R = self._take_heading(found_n, R)
+        if self.C_nb[2] @ self.P[PHI, PHI] @ self.C_nb[2] > _VAGUE**2:
+            found_n = self.C_nb @ (field_b - iron)
+            off = np.arctan2(found_n[1], found_n[0]) - np.arctan2(self.field_n[1], self.field_n[0])
+            self._turn(rotation.matrix(rotation.from_rotvec(np.array([0.0, 0.0, -off]))))
+        p_b = self.C_nb.T @ self.field_n
         H = np.zeros((3, len(self.P)))
-        H[:, PHI], H[:, IRON] = -rotation.skew(self.field_n), -self.C_nb
-        H[:, CALIBRATION] = -np.einsum("ai,j->aij", self.C_nb, p_b).reshape(3, 9)
-        self._update(t, MAGNETIC, found_n - self.field_n, H, R, IRON)
+        H[:, PHI], H[:, IRON] = -rotation.skew(p_b), -np.eye(3)
+        H[:, CALIBRATION] = -np.kron(np.eye(3), p_b)
+        self._update(t, MAGNETIC, field_b - iron - matrix @ p_b - p_b, H, np.diag(variance), IRON)
 
-    def _take_heading(self, found_n: FloatArray, R: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Turn to the heading of a measured field (3,) [T], n; return it and its R in the turned axes."""
-        off = np.arctan2(found_n[1], found_n[0]) - np.arctan2(self.field_n[1], self.field_n[0])
-        turn = rotation.matrix(rotation.from_rotvec(np.array([0.0, 0.0, -off])))
-        whole = np.eye(len(self.P))
-        whole[PHI, PHI] = turn
-        self.P = whole @ self.P @ whole.T
-        self.C_nb, self.gained = turn @ self.C_nb, turn @ self.gained
-        return turn @ found_n, turn @ R @ turn.T
+    def _turn(self, turn: FloatArray) -> None:
+        """Turn the attitude by a matrix (3, 3), n; what C_nb lacks to a rotation is not carried on."""
+        self.C_nb, self.gained = rotation.matrix(rotation.from_matrix(turn @ self.C_nb)), turn @ self.gained
+        self.before = self.C_nb.copy()
 
     def _update(
         self, t: float, code: int, d: FloatArray, H: FloatArray, R: FloatArray, opened: slice
@@ -250,7 +249,8 @@ class AhrsFlight(SteppedFilter):
         S = H @ self.P @ H.T + R
         value = nis(d, S)
         sound = value <= self.gate.limits[3]
-        verdict = self.gate.decide(t, code, -d, np.diag(S), value, sound=sound)
+        spread = np.diag(self.C_nb @ S @ self.C_nb.T)
+        verdict = self.gate.decide(t, code, -self.C_nb @ d, spread, value, sound=sound)
         if verdict == REFUSED:
             return
         if verdict != SOUND:
@@ -261,11 +261,11 @@ class AhrsFlight(SteppedFilter):
             S = H @ self.P @ H.T + R
         K = np.linalg.solve(S, H @ self.P).T
         J = np.eye(len(self.P)) - K @ H
-        P = J @ self.P @ J.T + K @ R @ K.T
-        self.P = 0.5 * (P + P.T)
         x = K @ d
-        turn = rotation.matrix(rotation.from_rotvec(-x[PHI]))
-        self.C_nb, self.gained = turn @ self.C_nb, turn @ self.gained
+        back = rotation.matrix(rotation.from_rotvec(-x[PHI]))
+        J[PHI], K[PHI] = back.T @ J[PHI], back.T @ K[PHI]  # by the whole angle, as in `error_state`
+        self._keep(J @ self.P @ J.T + K @ R @ K.T)
+        self._turn(self.C_nb @ back @ self.C_nb.T)
         self.wrong = self.wrong - x[3:]
 
 
@@ -303,7 +303,7 @@ def turn_kernel(
             turn[i] -= wrong[6 + 3 * i + j] * dtheta[j]
             old[i, j] = C_nb[i, j]
             turn[i] -= C_nb[j, i] * w_n[j] * dt
-    x, y, z = turn[0], turn[1], turn[2]
+    x, y, z, since = turn[0], turn[1], turn[2], spans[1] + 0.5 * dt
     size2 = x * x + y * y + z * z
     size = np.sqrt(size2)
     s, c = 1.0 - size2 / 6.0, 0.5 - size2 / 24.0
@@ -324,13 +324,16 @@ def turn_kernel(
     step[2, 1] += s * x
     for i in range(3):
         for j in range(3):
-            gained[i] += old[i, j] * half[j]
+            gained[i, 0] += old[i, j] * half[j]
             C_nb[i, j] = 0.0
             for k in range(3):
                 C_nb[i, j] += old[i, k] * step[k, j]
             mean = 0.5 * (old[i, j] + C_nb[i, j])
             sums[i, j] += mean * dt
+            gained[i, 1 + j] += mean * dt
+            gained[i, 4 + j] += mean * dt * since
             for k in range(3):
                 sums[i, 3 + 3 * j + k] += mean * dtheta[k]
+                gained[i, 7 + 3 * j + k] += mean * dtheta[k] * since
     spans[0] += dt
     spans[1] += dt
