@@ -7,14 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache, partial
-from itertools import pairwise
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from bench.core.files import disk_arrays
 from bench.core.mathematics.arrays import BoolArray, FloatArray
-from bench.core.mathematics.units import SAME_INSTANT, unit_of
+from bench.core.mathematics.units import unit_of
 from bench.core.records.data import NavSolution, SensorData, Trajectory
 from bench.core.records.run_records import ErrorSeries, OffPath, SensorTruth
 from bench.core.records.sensor_specs import AssumedSpecs, Fault
@@ -34,6 +33,7 @@ from bench.evaluation.errors.error_series import (
 from bench.evaluation.errors.failures import describe_failure
 from bench.evaluation.errors.poses import Poses, lengths
 from bench.evaluation.linear import drift_laws
+from bench.evaluation.metrics import attitude_errors as attitude
 from bench.evaluation.metrics import claims, detection, path_errors
 from bench.evaluation.metrics.case import NO_TIMES, Case, Outages, build_case, cut_case
 from bench.evaluation.metrics.coverage import (
@@ -47,12 +47,6 @@ from bench.evaluation.metrics.coverage import (
 
 Value = float | None
 Values = Mapping[str, Value]
-
-HEADING_LIMIT = np.deg2rad(1.0)
-"""A heading has converged below the larger of this and 3 sigma [rad]."""
-
-HEADING_RIGHT = np.deg2rad(3.0)
-"""A heading is right below this [rad]."""
 
 Direction = Literal["lower", "matched", "zero", "not evaluated"]
 """How a baseline evaluates a metric: the lower the better; it has a value that is expected; the same with the
@@ -94,26 +88,6 @@ def rmse(block: str, case: Case) -> Values:
     return by_axis | {"h": _rms(horizontal), "3d": _rms(lengths(error_n))}
 
 
-def phi_rmse(case: Case) -> Values:
-    """Root mean square of the attitude error [deg] about n, e and d."""
-    return {axis: float(np.rad2deg(_rms(case.phi_n[:, k]))) for k, axis in enumerate(claims.AXES)}
-
-
-def tilt_rmse(case: Case) -> float:
-    """Root mean square of the angle between true and estimated vertical, first order [deg]."""
-    return float(np.rad2deg(_rms(_horizontal_norm(case.phi_n))))
-
-
-def heading_rmse(case: Case) -> float:
-    """Root mean square of the heading error [deg]."""
-    return float(np.rad2deg(_rms(case.heading)))
-
-
-def heading_max(case: Case) -> float:
-    """Largest heading error [deg]."""
-    return float(np.rad2deg(np.abs(case.heading).max()))
-
-
 def pos_max_h(case: Case) -> float:
     """Largest horizontal position error [m]."""
     return float(case.pos_h.max())
@@ -148,37 +122,6 @@ def pos_95_v(case: Case) -> float:
     return _order_statistic(np.where(case.silent, np.inf, np.abs(case.pos_n[:, 2])), 0.95)
 
 
-# --- convergence --------------------------------------------------------------------------
-
-
-def heading_convergence(case: Case) -> Value:
-    """Time from which the heading error stays below max(1 deg, 3 sigma), to the end or an outage [s].
-
-    None if there is none.
-    """
-    return _settle(case, np.abs(case.heading) < np.fmax(HEADING_LIMIT, 3.0 * case.heading_sd))
-
-
-def heading_right(case: Case) -> Value:
-    """Time from which the heading error stays below 3 deg, whatever is reported, to the end or an outage [s].
-
-    None if there is none.
-    """
-    return _settle(case, np.abs(case.heading) < HEADING_RIGHT)
-
-
-def _settle(case: Case, below: BoolArray) -> Value:
-    """Return the time from which a condition (M,) holds to the end or an outage; None if it never holds."""
-    starts = [int(np.searchsorted(case.t, start - SAME_INSTANT)) for _, start, _ in case.outages]
-    edges = sorted({0, *starts, len(case.t)})
-    for first, end in pairwise(edges):
-        above = np.flatnonzero(~below[first:end])
-        settled = first + (int(above[-1]) + 1 if len(above) else 0)
-        if settled < end:
-            return float(case.t[settled])
-    return None
-
-
 # --- rejections and events -------------------------------------------------------------------------------
 
 
@@ -203,12 +146,17 @@ METRICS: tuple[Metric, ...] = (
     *(Metric(f"{p}_{{}}_m", partial(total_system.measure, p), "pos", "lower") for p in total_system.PARTS),
     Metric("vel_rmse_{}_mps", partial(rmse, "vel"), "vel", "lower"),
     Metric("vel_max_mps", vel_max, "vel", "not evaluated"),
-    Metric("phi_rmse_{}_deg", phi_rmse, "phi", "lower"),
-    Metric("tilt_rmse_deg", tilt_rmse, "phi", "lower"),
-    Metric("heading_rmse_deg", heading_rmse, "phi", "lower"),
-    Metric("heading_max_deg", heading_max, "phi", "not evaluated"),
-    Metric("heading_convergence_s", heading_convergence, "phi", "lower"),
-    Metric("heading_right_s", heading_right, "phi", "not evaluated"),
+    Metric("phi_rmse_{}_deg", attitude.phi_rmse, "phi", "lower"),
+    Metric("tilt_rmse_deg", attitude.tilt_rmse, "phi", "lower"),
+    Metric("heading_rmse_deg", attitude.heading_rmse, "phi", "lower"),
+    Metric("heading_max_deg", attitude.heading_max, "phi", "not evaluated"),
+    Metric("total_error_rmse_deg", attitude.total_error_rmse, "phi", "not evaluated"),
+    Metric("total_error_max_deg", attitude.total_error_max, "phi", "not evaluated"),
+    Metric("inclination_rmse_deg", attitude.inclination_rmse, "phi", "not evaluated"),
+    Metric("vertical_part_rmse_deg", attitude.vertical_part_rmse, "phi", "not evaluated"),
+    Metric("heading_drift_rmse_deg", attitude.heading_drift_rmse, "phi", "not evaluated"),
+    Metric("heading_convergence_s", attitude.heading_convergence, "phi", "lower"),
+    Metric("heading_right_s", attitude.heading_right, "phi", "not evaluated"),
     Metric("outage_{}_drift_h_m", drift_laws.outage_drift, "pos", "lower"),
     Metric("outage_{}_growth_h_m", drift_laws.outage_growth, "pos", "lower"),
     Metric("fault_{}_detected", detection.fault_detected, "", "matched"),

@@ -71,6 +71,8 @@ class Ahrs:
     True
     """
 
+    needs: tuple[str, ...] = ()
+
     def __init__(self, **options: Any) -> None:
         self.options = read_options(AhrsOptions, options)
 
