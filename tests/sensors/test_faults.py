@@ -16,7 +16,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.special import ndtri
 
 import bench
-from bench.core.mathematics import earth
+from bench.core.mathematics import earth, rotation
 from bench.core.records.instruments import AirspeedSpec, BaroSpec, MagSpec
 from bench.core.records.sensor_specs import AssumedSpecs, GnssSpec, ImuSpec, SensorsSpec, TriadSpec
 from bench.core.words.exceptions import ConfigError
@@ -94,6 +94,8 @@ EVERY = {
     "baro-step": {"step_m": 12.0},
     "gyro-step": {"step_deg_h": [100.0, 0.0, -50.0]},
     "accel-step": {"step_mg": [0.0, 5.0, 0.0]},
+    "mag-step": {"step_ut": [0.0, 20.0, 0.0]},
+    "magnet-passed": {"peak_ut": [0.0, 20.0, 0.0]},
     "frozen": {"sensor": "gnss"},
     "noise-burst": {"sensor": "gnss", "times": 5.0},
     "latency": {"sensor": "gnss", "added_s": 0.4},
@@ -311,6 +313,29 @@ def test_a_bias_step_is_in_every_sample_to_the_least_bit(turn, plain):
         drawn = getattr(faulty.truth, truth) - getattr(plain["position"].truth, truth)
         struck = (faulty.truth.t > START - 1e-6) & (faulty.truth.t < END - 1e-6)
         assert_allclose(drawn, np.where(struck[:, None], step, 0.0), rtol=0, atol=1e-12)
+
+
+def test_a_magnet_aboard_turns_with_the_body_and_one_outside_does_not(turn, plain):
+    """Of a sensor with noise alone; the passed one by its shape, highest in the middle, 1.4 % at its ends."""
+    clean = plain["position"].data.mag
+    rows, lsb = inside(clean), max(MAG.quantization, 1e-12)
+    aboard = sensed(turn, POSITION, script("mag-step", step_ut=[0.0, 20.0, -5.0]))
+    assert_allclose(
+        (aboard.data.mag.field_b - clean.field_b)[rows], [[0.0, 2e-5, -5e-6]] * rows.sum(), atol=lsb
+    )
+    bias = (aboard.truth.bias["mag"] - plain["position"].truth.bias["mag"])[:, 1]
+    struck = (aboard.truth.t > START - 1e-6) & (aboard.truth.t < END - 1e-6)
+    assert_allclose(bias, np.where(struck, 2e-5, 0.0), rtol=0, atol=1e-12)
+    outside = sensed(turn, POSITION, script("magnet-passed", peak_ut=[0.0, 20.0, -5.0]))
+    added = (outside.data.mag.field_b - clean.field_b)[rows]
+    q = turn.q_nb[np.searchsorted(turn.t, clean.t[rows] - 1e-6)]
+    u = 8.0 * (clean.t[rows] - START) / (END - START) - 4.0
+    expected = rotation.rotate(rotation.conjugate(q), np.outer((1.0 + u**2) ** -1.5, [0.0, 2e-5, -5e-6]))
+    distortion = 4.0 * (MAG.soft_iron_sd + MAG.scale_factor_sd + MAG.misalignment_sd)
+    assert_allclose(added, expected, rtol=0, atol=lsb + 2e-5 * distortion)
+    size = np.linalg.norm(added, axis=1)
+    assert abs(clean.t[rows][size.argmax()] - 0.5 * (START + END)) < 0.1
+    assert size[0] < 0.03 * size.max()
 
 
 def test_beyond_its_range_a_sample_is_clipped_and_flagged(turn):

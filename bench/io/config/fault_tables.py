@@ -57,6 +57,7 @@ def _check_satellites(names: tuple[str, ...]) -> tuple[str, ...]:
 Satellites = Annotated[tuple[str, ...], ROWS, AfterValidator(_check_satellites), Field(min_length=1)]
 Meters = Annotated[float, between(-1e7, 1e7)]
 Speed = Annotated[float, between(-1e4, 1e4)]
+Microtesla = Annotated[float, between(-1e4, 1e4)]
 Share = Annotated[float, between(0.001, 1)]
 Times = Annotated[float, between(0.01, 1e4)]
 Axes = Annotated[tuple[Literal["x", "y", "z"], ...], ROWS, Field(min_length=1)]
@@ -80,6 +81,8 @@ _WORDS = {
     "step_deg": "Error from the start on.",
     "step_deg_h": "Error from the start on: x, y, z.",
     "step_mg": "Error from the start on: x, y, z.",
+    "step_ut": "Field from the start on: x, y, z.",
+    "peak_ut": "Field of the magnet at the middle of the fault: north, east, down.",
     "ramp_mps": "Growth of the error; of a position north, east, down.",
     "coherent": "Code and Doppler agree, so that the velocity follows the ramp; else it stays true.",
     "cn0_loss_db": "Loss of C/N0.",
@@ -155,6 +158,16 @@ FAULTS: tuple[type[_FaultTable], ...] = (
         step_mg=_three(Annotated[float, between(-1e5, 1e5)]),
     ),
     _make_table(
+        "mag-step",
+        "A magnet or current aboard adds a field that turns with the body.",
+        step_ut=_three(Microtesla),
+    ),
+    _make_table(
+        "magnet-passed",
+        "A magnet outside is passed at its closest in the middle of the fault: its field rises and falls.",
+        peak_ut=_three(Microtesla),
+    ),
+    _make_table(
         "frozen",
         "The output keeps its last value while its times go on.",
         sensor=Noisy,
@@ -172,7 +185,12 @@ if TYPE_CHECKING:
 else:
     FaultTable = reduce(or_, FAULTS)
 
-_SENSOR = {kind: row.name for kind, row in _STEPPED.items()} | {"gyro-step": "gyro", "accel-step": "accel"}
+_SENSOR = {kind: row.name for kind, row in _STEPPED.items()} | {
+    "gyro-step": "gyro",
+    "accel-step": "accel",
+    "mag-step": "mag",
+    "magnet-passed": "mag",
+}
 """Kind -> the sensor it affects; other kinds without a key ``sensor`` affect the gnss."""
 
 _NEEDS_SKY = {
@@ -185,7 +203,14 @@ _NEEDS_SKY = {
 """Kind for a measurement-level receiver -> what a position-level receiver does not have."""
 
 _STEPS = dict.fromkeys(
-    ["step_deg_h", "step_mg", "step_m", *(f"step_{row.step}" for row in _STEPPED.values())]
+    [
+        "step_deg_h",
+        "step_mg",
+        "step_ut",
+        "peak_ut",
+        "step_m",
+        *(f"step_{row.step}" for row in _STEPPED.values()),
+    ]
 )
 """Keys of a step, in any unit."""
 

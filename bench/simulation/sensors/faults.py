@@ -243,6 +243,20 @@ def _take_rows(record: Any, content: IntArray, held: HeldRows, frozen: dict[int,
     return columns
 
 
+def compute_passed_magnets(t: FloatArray, faults: Faults) -> FloatArray:
+    """Return the field (M, 3) [T], n, of magnets that are passed, at t (M,).
+
+    A dipole passed at a steady speed, its direction kept: ``peak (1 + u^2)^(-3/2)`` with the way u from the
+    closest point in distances to it, -4 to 4 over the fault.
+    """
+    added = np.zeros((len(t), 3))
+    for fault in select_faults(faults, "mag", "magnet-passed"):
+        first, stop = find_interval_rows(t, fault.start, fault.end)
+        u = 8.0 * (t[first:stop] - fault.start) / (fault.end - fault.start) - 4.0
+        added[first:stop] += (1.0 + u**2)[:, None] ** -1.5 * np.array(fault.step)
+    return added
+
+
 def compute_spoofing(t: FloatArray, faults: Faults) -> tuple[FloatArray, FloatArray]:
     """Return the offset (M, 3) [m] and velocity (M, 3) [m/s] of a spoofed position at t, n."""
     spoofing = list(select_faults(faults, "gnss", "spoofing"))

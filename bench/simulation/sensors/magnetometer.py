@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +11,8 @@ from bench.core.mathematics import rotation
 from bench.core.mathematics.arrays import BoolArray, FloatArray
 from bench.core.records.data import Trajectory
 from bench.core.records.instruments import MagData, MagSpec
-from bench.core.records.sensor_specs import SensorsSpec
+from bench.core.records.sensor_specs import Fault, SensorsSpec
+from bench.simulation.sensors import faults
 from bench.simulation.sensors.draws import SensorDraws
 from bench.simulation.sensors.sampling import Sampler
 from bench.simulation.signals.magnetic import field_n
@@ -19,11 +21,13 @@ from bench.simulation.signals.magnetic import field_n
 def report(truth: Trajectory, on_board: SensorsSpec, draws: SensorDraws) -> tuple[MagData, FloatArray]:
     """Simulate the magnetometer on board; return its record and its slowly varying error."""
     assert on_board.mag is not None  # otherwise `sense` does not call this
-    mag, hard_iron_b = measure(truth, on_board.mag, on_board.date, draws)
+    mag, hard_iron_b = measure(truth, on_board.mag, on_board.date, draws, on_board.faults)
     return mag, np.tile(hard_iron_b, (len(mag), 1))
 
 
-def measure(truth: Trajectory, spec: MagSpec, date: float, draws: SensorDraws) -> tuple[MagData, FloatArray]:
+def measure(
+    truth: Trajectory, spec: MagSpec, date: float, draws: SensorDraws, scripted: Sequence[Fault] = ()
+) -> tuple[MagData, FloatArray]:
     """Simulate a magnetometer at the IMU, along its axes except for ``misalignment_sd``.
 
     Parameters
@@ -32,6 +36,8 @@ def measure(truth: Trajectory, spec: MagSpec, date: float, draws: SensorDraws) -
         As for `Sampler`; the magnetometer as mounted.
     date : float
         Decimal year of the flight.
+    scripted : sequence of Fault
+        Scripted faults, of which magnets that are passed add to the field outside.
 
     Returns
     -------
@@ -48,7 +54,8 @@ def measure(truth: Trajectory, spec: MagSpec, date: float, draws: SensorDraws) -
     """
     samples = Sampler("mag", truth, spec, draws)
     rows = samples.rows
-    true_b = rotation.rotate(rotation.conjugate(truth.q_nb[rows]), field_n(truth.lla[rows], date))
+    outside_n = field_n(truth.lla[rows], date) + faults.compute_passed_magnets(samples.t, scripted)
+    true_b = rotation.rotate(rotation.conjugate(truth.q_nb[rows]), outside_n)
     distortion, hard_iron_b = draw_calibration(samples, spec)
     mag: MagData = samples.report(true_b + true_b @ distortion.T + hard_iron_b)
     if spec.range > 0:
