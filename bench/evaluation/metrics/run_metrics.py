@@ -33,8 +33,8 @@ from bench.evaluation.errors.error_series import (
 from bench.evaluation.errors.failures import describe_failure
 from bench.evaluation.errors.poses import Poses, lengths
 from bench.evaluation.linear import drift_laws
-from bench.evaluation.metrics import attitude_errors as attitude
 from bench.evaluation.metrics import claims, detection, path_errors
+from bench.evaluation.metrics import orientation_errors as attitude
 from bench.evaluation.metrics.case import NO_TIMES, Case, Outages, build_case, cut_case
 from bench.evaluation.metrics.coverage import (
     Coverage,

@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from bench.core.mathematics import rotation
-from bench.evaluation.metrics.attitude_errors import split_error
+from bench.evaluation.metrics.orientation_errors import split_error
 from tests.evaluation.test_metrics import metrics_of, truth, wrong_solution  # noqa: F401
 
 
