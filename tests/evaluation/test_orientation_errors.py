@@ -9,6 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from bench.core.mathematics import rotation
+from bench.evaluation.metrics.key_figures import list_key_figures
 from bench.evaluation.metrics.orientation_errors import split_error
 from tests.evaluation.test_metrics import metrics_of, truth, wrong_solution  # noqa: F401
 
@@ -47,6 +48,13 @@ def test_the_metrics_hold_them_and_a_constant_heading_error_is_no_drift(truth): 
     assert found["total_error_max_deg"] == pytest.approx(total)
     assert found["inclination_rmse_deg"] == pytest.approx(inclination)
     assert found["vertical_part_rmse_deg"] == pytest.approx(vertical)
+
+
+def test_the_table_shows_them_where_there_is_no_position():
+    attitude = {"tilt_rmse_deg": 0.1, "heading_rmse_deg": 0.3, "total_error_rmse_deg": 0.32}
+    assert list_key_figures({"a": attitude})[:2] == ["total_error_rmse_deg", "tilt_rmse_deg"]
+    shown = list_key_figures({"a": attitude, "b": {**attitude, "pos_rmse_h_m": 1.0}})
+    assert "total_error_rmse_deg" not in shown
 
 
 def test_heading_drift_counts_from_the_first_epoch_and_wraps(truth):  # noqa: F811

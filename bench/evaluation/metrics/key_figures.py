@@ -42,6 +42,8 @@ _SUMMARY = (
     "nis_mean_",
 )
 """Names, or beginnings of names, of the metrics in the table; all others are in result.json."""
+_ATTITUDE = ("total_error_rmse_deg", "inclination_rmse_deg", "heading_drift_rmse_deg")
+"""Shown, too, if no filter estimates a position."""
 _COVERAGE = "output_coverage"  # shown if it is not 1 for every filter
 
 MEANING = (
@@ -81,6 +83,9 @@ def list_key_figures(measured: Measured) -> list[str]:
         for name in names
         if name.startswith(start) and is_key_figure(name) and find_metric(name)
     ]
+    if "pos_rmse_h_m" not in names and "tilt_rmse_deg" in found:
+        at = found.index("tilt_rmse_deg")
+        found[at:at] = [name for name in _ATTITUDE if name in names]
     if any(values.get(_COVERAGE) not in (None, 1.0) for values in measured.values()):
         found.append(_COVERAGE)
     return found
