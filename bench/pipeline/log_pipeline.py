@@ -40,6 +40,7 @@ from bench.io.logs import own_estimate, reference
 from bench.io.logs.log_records import LogRecords, divide_intervals, read_records
 from bench.io.logs.log_start import find_start
 from bench.io.logs.own_estimate import AutopilotEstimator
+from bench.io.logs.without_fixes import name_records
 from bench.navigation import built_in, estimator
 from bench.navigation.engine.kept_rows import take_rows
 from bench.pipeline.steps import build_estimator, collect_printed, find_worked, navigate_all
@@ -118,10 +119,8 @@ def read_log(
     spec = load_log(str(path), estimators, allow_code, overrides, guard)
     choices = {c.label: c for c in spec.estimators if not is_autopilot(c.use)}
     built = dict(zip(choices, load_estimators(choices.values()), strict=True))
-    assert spec.gnss is not None
-    ranges = {"observations"} if spec.gnss.observations else set()
     for label, one in built.items():
-        estimator.check_needs(one, label, {"fixes", *ranges, *spec.instruments}, specs=spec.assumed)
+        estimator.check_needs(one, label, name_records(spec), f"{spec.name}.toml", specs=spec.assumed)
     records = read_records(spec)
     for choice in spec.estimators:
         if is_autopilot(choice.use):
@@ -247,7 +246,7 @@ def _navigate(log: RecordedLog, outages: Sequence[float] | None, places: int, st
     answers = navigate_all(log.estimators, data, session.initial, spec.assumed, stages, measure_drifts)
     judged = dict[str, Judged]()
     for label, solution in answers.solutions.items():
-        by_fixes = None if label in own else withheld
+        by_fixes = None if label in own or spec.gnss is None else withheld
         known = by_fixes if log.reference is None else log.reference
         more, counts = {"unmodeled_errors": answers.unmodeled[label]}, label not in own
         judged[label] = judge_solution(
@@ -314,7 +313,7 @@ class Session:
         good = fixes.valid & find_later(fixes.t) & after_start & (fixes.t <= last)
         self.spec, self.recorded, self.initial, self.reference = spec, recorded, initial, judge_by
         self.fixes = fixes.take(good)
-        if not len(self.fixes):
+        if spec.gnss is not None and not len(self.fixes):
             raise ConfigError(f"{spec.name}.toml: no usable fix after the start at {initial.t:.2f} s")
         if outside := spec.evaluation.describe_outside(last, "recording"):
             raise ConfigError(f"{spec.name}.toml: {outside}")
@@ -370,7 +369,7 @@ class Session:
         cuts = [output_t, fixes.t, *seen, *(record.t for record in others.values())]
         return SensorData(
             imu=divide_intervals(self.recorded.imu, np.concatenate(cuts)),
-            fixes=fixes,
+            fixes=None if self.spec.gnss is None else fixes,
             antenna_b=np.asarray(self.spec.antenna_b),
             specs=self.spec.assumed,
             output_t=output_t,

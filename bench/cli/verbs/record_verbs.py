@@ -88,6 +88,8 @@ def print_log(console: Console, result: RunResult, *, table: bool, cuts: bool = 
     judge = "evaluated by withheld GNSS fixes"
     if "reference" in document:
         judge = f"evaluated by the reference, {document['reference']['file']}"
+    elif "gnss" not in document:
+        judge = "no reference: nothing evaluates the errors but the innovations"
     console.print(f"{judge}; {result.evaluation}", soft_wrap=True)
     print_result(console, result, table=table)
     outages = result.more["outages"]
@@ -97,7 +99,7 @@ def print_log(console: Console, result: RunResult, *, table: bool, cuts: bool = 
         console.print()
         for row in outages:
             print_wrapped(console, describe_drift(row))
-    elif cuts and "reference" not in document:
+    elif cuts and "reference" not in document and "gnss" in document:
         console.print(
             "The log is too short to simulate outages: its fixes evaluate the receiver, not the IMU."
         )

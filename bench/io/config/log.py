@@ -18,6 +18,7 @@ from bench.core.words.wording import as_toml
 from bench.io.config import checks
 from bench.io.config.datasheets import SENSORS
 from bench.io.config.library import find_datasheet
+from bench.io.config.log_alignment import check_start
 from bench.io.config.log_tables import (
     SIDEWAYS,
     FileTable,
@@ -27,7 +28,6 @@ from bench.io.config.log_tables import (
     check_frames,
     check_vehicle,
     describe_frame,
-    find_kind,
     make_start,
 )
 from bench.io.config.overrides import (
@@ -49,7 +49,6 @@ from bench.io.log_formats import (
     guess_solution,
     list_names,
 )
-from bench.simulation.signals.magnetic import FIRST_YEAR, LAST_YEAR
 
 RANGES = "ranges"
 """Format of a source that is the observation and navigation files of a receiver."""
@@ -112,6 +111,7 @@ class LogSpec:
     quality_sd: Mapping[int, float]  # by class of quality: of each axis of a fix [m]; empty: not told
     assumed: AssumedSpecs
     start: StartSpec
+    place: tuple[float, float, float] | None  # [deg, deg, m], of a log without gnss
     estimators: tuple[EstimatorChoice, ...]
     evaluation: EvaluationWindow
     until: float  # end of what counts [s]
@@ -170,6 +170,8 @@ def load_log(
     for key, value in overrides.items():
         if key not in at_top:
             document = override(document, key, value)
+    if "gnss" not in document:
+        document = {"estimator": [{"use": "ahrs"}], **document}
     wrong = [f"{name}: {line}" for line in checks.check_options(document)]
     try:
         table = check_table(LogTable, document, name)
@@ -178,7 +180,7 @@ def load_log(
     beside, place = path.parent, f"{name}: "
     withhold = table.evaluation.withhold
     if withhold is None:
-        withhold = 0 if table.reference else WITHHOLD
+        withhold = 0 if table.reference or table.gnss is None else WITHHOLD
         evaluation = table.evaluation.model_copy(update={"withhold": withhold})
         table = table.model_copy(update={"evaluation": evaluation})
     elif table.reference and withhold:
@@ -195,7 +197,7 @@ def load_log(
         checks.check_estimators(choices, of_log=True)
         + checks.check_requested(choices, estimators or (), of_log=True)
         + checks.check_requirements(table.requirement, choices)
-        + _check_start(table)
+        + check_start(table)
         + check_frames(table, beside)
         + check_vehicle(table.vehicle, choices)
     )
@@ -276,6 +278,7 @@ def _make_spec(
         quality_sd=_read_classes(table.gnss.quality_sd_m if table.gnss else {}, file),
         assumed=AssumedSpecs(**assumed),
         start=make_start(table),
+        place=table.place,
         estimators=choices,
         evaluation=table.evaluation.window(),
         until=math.inf if table.evaluation.until_s is None else float(table.evaluation.until_s),
@@ -384,41 +387,6 @@ def _find_ranges(row: GnssTable, beside: Path, place: str, wrong: list[str]) -> 
     return SourceSpec(
         observations[0], RANGES, time_offset=offset, observations=observations, navigation=navigation
     )
-
-
-_GIVEN_KEYS = ("roll_deg", "pitch_deg", "heading_deg", "tilt_sd_deg", "heading_sd_deg")
-
-
-def _check_start(table: LogTable) -> list[str]:
-    """Check that the start has what its alignment needs, and nothing that would have no effect."""
-    asked, found = table.alignment, find_kind(table)
-    kind = f"kind = {found!r}"
-    present = [key for key in _GIVEN_KEYS if getattr(asked, key) is not None]
-    wrong = []
-    if found == "given":
-        wrong += [
-            f"[alignment] {key} is missing; {kind} needs it" for key in _GIVEN_KEYS[:3] if key not in present
-        ]
-        wrong += [f"[alignment] duration_s has no effect with {kind}"] if asked.duration_s is not None else []
-    else:
-        given = [key for key in present if not (key == "heading_sd_deg" and asked.heading)]
-        wrong += [f"[alignment] {key} is for kind = 'given', not for {kind}" for key in given]
-    if asked.heading and found not in ("level", "hover"):
-        wrong.append(f"[alignment] heading is for kind = 'level' or 'hover', not for {kind}")
-    if asked.heading == "magnetometer" and table.mag is None:
-        wrong.append("[alignment] heading = 'magnetometer' needs a table [mag]")
-    if found != "course" and asked.drift_deg is not None:
-        wrong.append(f"[alignment] drift_deg is for kind = 'course', not for {kind}")
-    if table.vehicle in SIDEWAYS and found == "course":
-        wrong.append(f"[alignment] {kind}: the course of a {table.vehicle} gives no heading; use 'hover'")
-    if table.mag is not None:
-        year = None if table.date is None else table.date.year
-        if year is None or not FIRST_YEAR <= year < LAST_YEAR:
-            known = f"of {FIRST_YEAR:g} to {LAST_YEAR - 1:g}, by which the magnetic field is known"
-            wrong.append(f"[mag] needs a date above all tables, {known}: date = 2024-05-31")
-    if table.gnss is None:
-        wrong.append("[gnss] is missing: the start needs a position, and the evaluation needs fixes")
-    return wrong
 
 
 def _to_year(day: datetime.date) -> float:

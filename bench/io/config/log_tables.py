@@ -25,6 +25,8 @@ from bench.simulation.signals.gps_time import leap_seconds
 
 _Angle = Annotated[float, between(-360, 360)]
 _Angles3 = Annotated[tuple[_Angle, _Angle, _Angle], ROWS]
+_Latitude = Annotated[float, between(-90, 90)]
+_Height = Annotated[float, between(-1000, 1e5)]
 _Arm = Annotated[float, between(-100, 100)]
 _Arm3 = Annotated[tuple[_Arm, _Arm, _Arm], ROWS]
 _Shift = Annotated[float, between(-10, 10)]
@@ -283,6 +285,8 @@ class _LogHead(Table):
     """Day of the recording, for the magnetic field; required with a magnetometer."""
     vehicle: Literal["multirotor", "fixed-wing", "car", "boat", "person"] | None = None
     """Kind of vehicle, by which a course gives its heading, or does not. Default: unknown."""
+    place: Annotated[tuple[_Latitude, _Angle, _Height], ROWS] | None = None
+    """Latitude, longitude [deg] and ellipsoidal height [m] of a log without [gnss]."""
     imu: ImuTable
     gnss: GnssTable | None = None
 
@@ -316,7 +320,8 @@ _DRIFT_DEG = {"boat": 10.0, "fixed-wing": 15.0}  # by current and wind, as in 8 
 
 def find_kind(table: LogTable) -> str:
     """Return the kind of alignment, or its default for the vehicle."""
-    return table.alignment.kind or ("hover" if table.vehicle in SIDEWAYS else "course")
+    otherwise = "level" if table.gnss is None else "course"
+    return table.alignment.kind or ("hover" if table.vehicle in SIDEWAYS and table.gnss else otherwise)
 
 
 def check_vehicle(vehicle: str | None, choices: Sequence[EstimatorChoice]) -> list[str]:

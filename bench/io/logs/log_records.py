@@ -43,6 +43,7 @@ from bench.io.logs.rows import GNSS, IMU, INSTRUMENT_ROWS, MOST_ROWS, OPTIONAL, 
 from bench.io.logs.sensor_axes import turn_axes
 from bench.io.logs.split_imu import read_split
 from bench.io.logs.table_files import find_first, read_table
+from bench.io.logs.without_fixes import no_fixes
 from bench.navigation.engine.kept_rows import take_rows
 from bench.simulation.signals.air import SEA_LEVEL_PRESSURE, SEA_LEVEL_TEMPERATURE, airspeed_sd
 from bench.simulation.signals.orbits import DAY
@@ -79,22 +80,25 @@ def read_records(spec: LogSpec) -> LogRecords:
     ConfigError
         If a file cannot be read, lacks columns, or has an impossible value: one line with file and row.
     """
-    assert spec.gnss is not None
     imu_rows, observations, sky, no_ranges = _read_rows(spec.imu, "imu"), None, None, ""
-    if spec.gnss.format == RANGES:
+    gnss_rows: LogRows | None = None
+    if spec.gnss is None:
+        pass
+    elif spec.gnss.format == RANGES:
         assert spec.assumed.gnss is not None
         gnss_rows, observations, sky, no_ranges = read_ranges(spec.gnss, spec.assumed.gnss)
     else:
         gnss_rows = _read_rows(spec.gnss, "gnss")
     others = {kind: _read_rows(source, kind) for kind, source in spec.instruments.items()}
     origin, end = float(imu_rows.t[0]), float(imu_rows.t.max())
-    gnss_rows = meet_week(gnss_rows, origin, end)
     others = {kind: meet_week(rows, origin, end) for kind, rows in others.items()}
     imu = _make_imu(imu_rows, spec, origin)
     _check_length(imu, spec)
-    fixes = _make_fixes(gnss_rows, spec, origin)
-    last = float(np.nanmax(imu.t))
-    if not ((fixes.t >= 0) & (fixes.t <= last)).any():
+    fixes, last = no_fixes(), float(np.nanmax(imu.t))
+    if gnss_rows is not None:
+        gnss_rows = meet_week(gnss_rows, origin, end)
+        fixes = _make_fixes(gnss_rows, spec, origin)
+    if spec.gnss is not None and not ((fixes.t >= 0) & (fixes.t <= last)).any():
         there = f"{fixes.t.min() + origin:.9g} to {fixes.t.max() + origin:.9g} s"
         raise ConfigError(
             f"{spec.gnss.path.name}: its times, {there}, do not overlap with {spec.imu.path.name}, "
@@ -103,7 +107,7 @@ def read_records(spec: LogSpec) -> LogRecords:
     if sky is not None:
         t = sky.t - origin
         sky = take_rows(replace(sky, t=t), (t >= 0.0) & (t <= min(last, spec.until)))
-    if observations is not None:
+    if observations is not None and spec.gnss is not None:
         t = observations.t - origin
         day = float((origin - spec.gnss.time_offset) % DAY)
         observations = replace(observations, t=t, t_arrival=t, gps_t0=day)
@@ -114,12 +118,14 @@ def read_records(spec: LogSpec) -> LogRecords:
             f"{spec.imu.path.name}: every row of the IMU has a missing value, so no filter can run"
         )
     for source, record in ((spec.imu, imu), (spec.gnss, fixes)):
-        check_order(record.t, record.valid, origin, source.path.name)
+        if source is not None:
+            check_order(record.t, record.valid, origin, source.path.name)
     instruments = {
         kind: _cut(_make_instrument(kind, rows, spec, origin), spec.until) for kind, rows in others.items()
     }
-    if "baro" in instruments and find_format(spec.imu.format).knows:
+    if "baro" in instruments and len(fixes) and find_format(spec.imu.format).knows:
         instruments["baro"] = set_altimeter(instruments["baro"], fixes, spec.start.at, spec.evaluation.begin)
+    every = [rows for rows in (imu_rows, gnss_rows, *others.values()) if rows is not None]
     return LogRecords(
         imu=imu,
         fixes=fixes,
@@ -127,11 +133,11 @@ def read_records(spec: LogSpec) -> LogRecords:
         observations=observations if observations is not None and len(observations) else None,
         instruments=instruments,
         ground_alt=find_ground(spec, instruments, fixes),
-        reported=_find_report(gnss_rows.values, spec),
+        reported="" if gnss_rows is None else _find_report(gnss_rows.values, spec),
         origin=origin,
-        notes=tuple(note for rows in (imu_rows, gnss_rows, *others.values()) for note in rows.notes),
-        week_ends=any(rows.week_ends for rows in (imu_rows, gnss_rows, *others.values())),
-        assumed=gnss_rows.assumed,
+        notes=tuple(note for rows in every for note in rows.notes),
+        week_ends=any(rows.week_ends for rows in every),
+        assumed="" if gnss_rows is None else gnss_rows.assumed,
         no_ranges=no_ranges,
     )
 

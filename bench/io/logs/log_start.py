@@ -29,6 +29,7 @@ from bench.core.records.data import GnssFixes, InitialState
 from bench.core.words.exceptions import ConfigError
 from bench.io.config.log import LogSpec
 from bench.io.logs.log_records import LogRecords
+from bench.io.logs.without_fixes import start_at_place
 from bench.navigation.error_state_filter.rough_heading import UNKNOWN_HEADING_SD
 from bench.navigation.start.alignment import UNKNOWN_SPEED_SD
 from bench.navigation.start.leveling import bias_sd
@@ -60,6 +61,8 @@ def find_start(recording: LogRecords, spec: LogSpec, own: OwnAttitude | None = N
         If there is no usable fix, it reports no standard deviation, or the heading cannot be had.
     """
     given, fixes = spec.start, recording.fixes
+    if spec.gnss is None:
+        return start_at_place(spec)
     arm_b = np.asarray(spec.antenna_b)
     if given.alignment == "hover":
         return _start_in_the_air(recording, spec, own)
