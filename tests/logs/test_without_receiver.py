@@ -1,0 +1,108 @@
+"""Logs of an IMU and a magnetometer alone: attitude, with a reference or without."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import bench
+from bench.core.mathematics import rotation
+from bench.core.words.exceptions import ConfigError, EstimatorError
+from bench.simulation import sensors
+from tests.builders import at_rest
+from tests.navigation.test_ahrs import COMPASS, LLA, on_board
+from tests.weaving import DEG
+
+LOG = """
+title = "On a table"
+{place}
+date = 2025-07-01
+[imu]
+file = "imu.csv"
+[mag]
+file = "mag.csv"
+[sensors.assumed]
+imu = "adis16475"
+mag = "hmc5883l"
+"""
+PLACE = "place = [47.0, 11.0, 500.0]"
+REFERENCE = '[reference]\nfile = "ref.csv"\n'
+Q_NB = rotation.from_euler(3 * DEG, -5 * DEG, 0.7)
+
+
+def write(path, header, *columns):
+    np.savetxt(path, np.column_stack(columns), delimiter=",", header=header, comments="")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Ninety seconds at rest, tilted."""
+    place = tmp_path_factory.mktemp("table")
+    truth = at_rest(90.0, 50.0, LLA, 3 * DEG, -5 * DEG, 0.7)
+    data = sensors.sense(truth, on_board(mag=COMPASS), 7, 0).data
+    names = [f"{of}_{axis}_{unit}" for of, unit in (("gyro", "rad_s"), ("accel", "m_s2")) for axis in "xyz"]
+    write(
+        place / "imu.csv", ",".join(["t_s", *names]), data.imu.t, data.imu.dtheta_b * 50, data.imu.dvel_b * 50
+    )
+    field = "t_s,field_x_ut,field_y_ut,field_z_ut"
+    write(place / "mag.csv", field, data.mag.t, data.mag.field_b * 1e6)
+    t = np.arange(0.0, 90.0, 0.2)
+    rows = np.tile([*np.rad2deg(LLA[:2]), LLA[2], 3.0, -5.0, np.rad2deg(0.7)], (len(t), 1))
+    write(place / "ref.csv", "t_s,lat_deg,lon_deg,alt_m,roll_deg,pitch_deg,heading_deg", t, rows)
+    return place
+
+
+def log(folder, name, *tables, place=PLACE):
+    path = folder / f"{name}.toml"
+    path.write_text(LOG.format(place=place) + "".join(tables))
+    return path
+
+
+def test_without_a_reference_the_innovations_alone_evaluate(folder):
+    """By default the filter is ahrs; it levels at rest, and the magnetometer gives the heading."""
+    result = bench.navigate(log(folder, "alone"))
+    solution = result.solutions["ahrs"]
+    assert result.records["sensed"].data.fixes is None
+    found = rotation.multiply(solution.q_nb[-1], rotation.conjugate(Q_NB))
+    assert np.linalg.norm(rotation.to_rotvec(found)) < 2.0 * DEG
+    assert np.isnan(solution.lla).all()
+    metrics = result.metrics["ahrs"]
+    assert "tilt_rmse_deg" not in metrics
+    assert metrics["nis_mean_magnetometer"] > 0
+
+
+def test_a_reference_evaluates_tilt_and_heading(folder):
+    metrics = bench.navigate(log(folder, "judged", REFERENCE)).metrics["ahrs"]
+    assert 0 < metrics["tilt_rmse_deg"] < 1.0
+    assert metrics["heading_rmse_deg"] < 2.0
+
+
+def test_a_filter_that_needs_fixes_is_refused_in_a_line(folder):
+    with pytest.raises(EstimatorError, match=r"filter 'loose-15' needs a gnss; there is none in alone\.toml"):
+        bench.read_log(log(folder, "alone"), estimators=["loose-15"])
+
+
+@pytest.mark.parametrize(
+    ("place", "tables", "message"),
+    [
+        ("", "", r"\[gnss\] is missing: for filters without fixes, such as 'ahrs', give place = \[lat"),
+        (
+            PLACE,
+            '[alignment]\nkind = "course"\n',
+            r"without \[gnss\]: kind 'level' or 'given' .*not 'course'",
+        ),
+        ("place = [97.0, 11.0, 500.0]", "", r"place.*-90 to 90"),
+    ],
+)
+def test_what_is_missing_or_wrong_is_said(folder, place, tables, message):
+    with pytest.raises(ConfigError, match=message):
+        bench.read_log(log(folder, "wrong", tables, place=place))
+
+
+def test_a_place_beside_a_receiver_has_no_effect(folder):
+    (folder / "fix.csv").write_text("t_s,lat_deg,lon_deg,alt_m\n1,47,11,500\n2,47,11,500\n")
+    receiver = '[gnss]\nfile = "fix.csv"\n'
+    path = log(folder, "both", receiver)
+    path.write_text(path.read_text().replace("[sensors.assumed]", '[sensors.assumed]\ngnss = "l1-code"'))
+    with pytest.raises(ConfigError, match=r"place has no effect with \[gnss\]"):
+        bench.read_log(path)
