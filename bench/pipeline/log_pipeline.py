@@ -40,7 +40,6 @@ from bench.io.logs import own_estimate, reference
 from bench.io.logs.log_records import LogRecords, divide_intervals, read_records
 from bench.io.logs.log_start import find_start
 from bench.io.logs.own_estimate import AutopilotEstimator
-from bench.io.logs.without_fixes import name_records
 from bench.navigation import built_in, estimator
 from bench.navigation.engine.kept_rows import take_rows
 from bench.pipeline.steps import build_estimator, collect_printed, find_worked, navigate_all
@@ -120,7 +119,7 @@ def read_log(
     choices = {c.label: c for c in spec.estimators if not is_autopilot(c.use)}
     built = dict(zip(choices, load_estimators(choices.values()), strict=True))
     for label, one in built.items():
-        estimator.check_needs(one, label, name_records(spec), f"{spec.name}.toml", specs=spec.assumed)
+        estimator.check_needs(one, label, spec.records, f"{spec.name}.toml", specs=spec.assumed)
     records = read_records(spec)
     for choice in spec.estimators:
         if is_autopilot(choice.use):

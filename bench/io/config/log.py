@@ -18,7 +18,6 @@ from bench.core.words.wording import as_toml
 from bench.io.config import checks
 from bench.io.config.datasheets import SENSORS
 from bench.io.config.library import find_datasheet
-from bench.io.config.log_alignment import check_start
 from bench.io.config.log_tables import (
     SIDEWAYS,
     FileTable,
@@ -120,6 +119,12 @@ class LogSpec:
     reference: ReferenceSpec | None  # None: withheld fixes judge
     document: Mapping[str, Any]  # the file with every default filled in
 
+    @property
+    def records(self) -> set[str]:
+        """Names of the records that filters get."""
+        ranges = self.gnss is not None and bool(self.gnss.observations)
+        return {*self.instruments, *["fixes"] * (self.gnss is not None), *["observations"] * ranges}
+
 
 def is_log(path: Path) -> bool:
     """Return whether a .toml file is a log: it names a recording."""
@@ -197,7 +202,7 @@ def load_log(
         checks.check_estimators(choices, of_log=True)
         + checks.check_requested(choices, estimators or (), of_log=True)
         + checks.check_requirements(table.requirement, choices)
-        + check_start(table)
+        + checks.check_log_start(table)
         + check_frames(table, beside)
         + check_vehicle(table.vehicle, choices)
     )

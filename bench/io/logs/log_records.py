@@ -43,7 +43,6 @@ from bench.io.logs.rows import GNSS, IMU, INSTRUMENT_ROWS, MOST_ROWS, OPTIONAL, 
 from bench.io.logs.sensor_axes import turn_axes
 from bench.io.logs.split_imu import read_split
 from bench.io.logs.table_files import find_first, read_table
-from bench.io.logs.without_fixes import no_fixes
 from bench.navigation.engine.kept_rows import take_rows
 from bench.simulation.signals.air import SEA_LEVEL_PRESSURE, SEA_LEVEL_TEMPERATURE, airspeed_sd
 from bench.simulation.signals.orbits import DAY
@@ -94,7 +93,7 @@ def read_records(spec: LogSpec) -> LogRecords:
     others = {kind: meet_week(rows, origin, end) for kind, rows in others.items()}
     imu = _make_imu(imu_rows, spec, origin)
     _check_length(imu, spec)
-    fixes, last = no_fixes(), float(np.nanmax(imu.t))
+    fixes, last = _no_fixes(), float(np.nanmax(imu.t))
     if gnss_rows is not None:
         gnss_rows = meet_week(gnss_rows, origin, end)
         fixes = _make_fixes(gnss_rows, spec, origin)
@@ -264,6 +263,11 @@ def _check_length(imu: ImuData, spec: LogSpec) -> None:
 
 _LEAST_RATE = 5.0  # of an IMU [Hz]
 _LIMITS = (("latitude", "deg", -90.0, 90.0), ("longitude", "deg", -180.0, 360.0), ("height", "m", -1e3, 1e5))
+
+
+def _no_fixes() -> GnssFixes:
+    n, v, c = np.empty(0), np.empty((0, 3)), np.empty((0, 3, 3))
+    return GnssFixes(n, n, np.empty(0, np.bool_), v, v, c, c, np.empty(0, np.int64))
 
 
 def _make_fixes(rows: LogRows, spec: LogSpec, origin: float) -> GnssFixes:

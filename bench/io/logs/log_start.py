@@ -29,7 +29,6 @@ from bench.core.records.data import GnssFixes, InitialState
 from bench.core.words.exceptions import ConfigError
 from bench.io.config.log import LogSpec
 from bench.io.logs.log_records import LogRecords
-from bench.io.logs.without_fixes import start_at_place
 from bench.navigation.error_state_filter.rough_heading import UNKNOWN_HEADING_SD
 from bench.navigation.start.alignment import UNKNOWN_SPEED_SD
 from bench.navigation.start.leveling import bias_sd
@@ -37,6 +36,7 @@ from bench.simulation.signals.magnetic import field_n
 
 HOVER = 4.0
 """Length of the segment of a start in the air [s]."""
+_PLACE_SD = 1e3  # of the place of a log without a receiver [m]
 _ROUGH_TILT = np.deg2rad(1.0)  # of a start in the air: vibration, flexing, gusts between two fixes [rad]
 _TURNS = 20  # fixed-point steps for the heading of a magnetometer: each gains a factor of dv / (g T)
 
@@ -53,7 +53,8 @@ def find_start(recording: LogRecords, spec: LogSpec, own: OwnAttitude | None = N
     the log; if no fix has a velocity, zero with a large variance. "level": the position of that fix, with the
     length of the lever arm as additional uncertainty, and the heading if the log says whence. "hover":
     position and velocity of the fix that ends a segment of ``duration_s``, and the attitude by both.
-    "course": only the time. ``own`` gives the attitude of the autopilot, of which only the heading is used.
+    "course": only the time. Without a receiver: the place of the log, at rest or of any velocity. ``own``
+    gives the attitude of the autopilot, of which only the heading is used.
 
     Raises
     ------
@@ -62,7 +63,7 @@ def find_start(recording: LogRecords, spec: LogSpec, own: OwnAttitude | None = N
     """
     given, fixes = spec.start, recording.fixes
     if spec.gnss is None:
-        return start_at_place(spec)
+        return _start_at_place(spec)
     arm_b = np.asarray(spec.antenna_b)
     if given.alignment == "hover":
         return _start_in_the_air(recording, spec, own)
@@ -113,6 +114,23 @@ def find_start(recording: LogRecords, spec: LogSpec, own: OwnAttitude | None = N
         alignment=given.alignment,
         align_for=given.align_for,
         drift_sd=given.drift_sd,
+    )
+
+
+def _start_at_place(spec: LogSpec) -> InitialState:
+    """Return the initial state of a log without a receiver: at rest or of any velocity, at its place."""
+    assert spec.place is not None
+    given, lla = spec.start, np.array(spec.place)
+    lla[:2] = np.deg2rad(lla[:2])
+    variance = np.repeat([_PLACE_SD**2, UNKNOWN_SPEED_SD**2, np.inf], 3)
+    vel_n, q_nb = np.full(3, np.nan), np.full(4, np.nan)
+    if given.alignment == "given":
+        vel_n, q_nb = np.zeros(3), from_euler(*given.attitude)
+        variance[6:] = np.square([given.tilt_sd, given.tilt_sd, given.heading_sd])
+    else:
+        variance[3:6] = np.inf
+    return InitialState(
+        given.at, lla, vel_n, q_nb, np.diag(variance), given.alignment, align_for=given.align_for
     )
 
 

@@ -263,7 +263,8 @@ def _list_ways(missing: str, found: Mapping[str, FoundSensor]) -> str:
     """Return what to do about columns of a sensor that are not found."""
     if missing == "imu" and "gnss" in found:
         return "put it beside a table of the IMU, then: bench new log IMU.csv"
-    beside = "put a table of the fixes beside it, or " if missing == "gnss" else ""
+    alone = "for attitude alone write a log with a place; else "
+    beside = f"{alone}put a table of the fixes beside it, or " if missing == "gnss" else ""
     return f"{beside}name them in a log of your own: bench guide log-format"
 
 
