@@ -150,6 +150,6 @@ def test_the_list_of_estimators_shows_their_options():
     text = out.getvalue()
     assert "Options of loose-15, loose-22, loose-mems, loose-full, baro-inertial, free-inertial" in text
     assert "Options of smoother: those of loose-15, and" in text
-    assert text.count("magnetometer  ") == 2  # of the compiled filters, and of ukf
+    assert text.count("magnetometer  ") == 3  # of the compiled filters, of ukf and of ahrs
     assert re.search(r"covariance_hz +20 +Rate of the covariance step \[Hz\]", text)
     assert re.search(r"adaptive_noise +- +Number of innovations", text)
