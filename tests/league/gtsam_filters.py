@@ -106,8 +106,12 @@ class GtsamFixedLag:
         v_t = C_tn @ vel_n - ahead.attitude().matrix() @ np.cross(w_b, arm_b)
         graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         graph.push_back(gtsam.CombinedImuFactor(*before[:2], x, v, before[2], b, self.sums))
-        graph.push_back(gtsam.GPSFactorArm(x, p_t, arm_b, noise.Gaussian.Covariance(C_tn @ np.diag(r_pos) @ C_tn.T)))
-        graph.push_back(gtsam.PriorFactorVector(v, v_t, noise.Gaussian.Covariance(C_tn @ np.diag(r_vel) @ C_tn.T)))
+        graph.push_back(
+            gtsam.GPSFactorArm(x, p_t, arm_b, noise.Gaussian.Covariance(C_tn @ np.diag(r_pos) @ C_tn.T))
+        )
+        graph.push_back(
+            gtsam.PriorFactorVector(v, v_t, noise.Gaussian.Covariance(C_tn @ np.diag(r_vel) @ C_tn.T))
+        )
         self.insert(values, (x, v, b), ahead)
         self.smoother.update(graph, values, dict.fromkeys((x, v, b), t))
         best = self.smoother.calculateEstimate()
@@ -201,5 +205,6 @@ class GtsamGal3Ekf:
         """Return the derivative of function(X, X') with respect to the ten coordinates of X'."""
         moves = step * np.eye(10)
         return np.stack(
-            [(function(X, X.retract(one)) - function(X, X.retract(-one))) / (2.0 * step) for one in moves], axis=1
+            [(function(X, X.retract(one)) - function(X, X.retract(-one))) / (2.0 * step) for one in moves],
+            axis=1,
         )

@@ -57,7 +57,9 @@ class OfflineVqf:
         gyro, accel = rates(sensors.imu)
         field, turn = fields(sensors), declination(sensors, initial)
         known = np.isfinite(field[:, 0])
-        mag = np.stack([np.interp(sensors.imu.t, sensors.imu.t[known], one[known]) for one in field.T], axis=1)
+        mag = np.stack(
+            [np.interp(sensors.imu.t, sensors.imu.t[known], one[known]) for one in field.T], axis=1
+        )
         step = float(np.median(sensors.imu.dt))
         one = [np.ascontiguousarray(each) for each in (gyro, accel, 1e6 * mag)]
         return make_solution(sensors, initial, offlineVQF(*one, step)["quat9D"], ENU, turn)
@@ -89,4 +91,3 @@ class Fusion(AttitudeFilter):
         gyro = self.bias.update(np.rad2deg(w))
         self.filter.update(gyro, f / GRAVITY, np.zeros(3) if m is None else m * 1e6)
         return self.filter.get_quaternion()
-

@@ -1,0 +1,100 @@
+"""The filters of the league, and the flights of its suites."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+
+from bench.experiments.card.card_suite import Suite, SuiteFlight
+from bench.navigation.built_in import BUILT_IN
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A filter: as ``-e`` takes it, the package it is from, and what it is told beside the samples."""
+
+    use: str
+    package: str  # "": bench
+    told: str
+    whole: bool = False  # a smoother, which uses the whole record
+
+    @property
+    def label(self) -> str:
+        return self.use.rpartition(":")[2]
+
+    @property
+    def version(self) -> str:
+        """Its version; "" if it is not installed."""
+        try:
+            return version(self.package or "ins-gnss-bench")
+        except PackageNotFoundError:
+            return ""
+
+
+_AHRS, _OTHER = "tests.league.ahrs_filters", "tests.league.other_attitude"
+_NORTH, _START = "declination", "initial attitude, declination"
+_OWN = "initial state, datasheet"
+
+ATTITUDE_FILTERS = (
+    *(Entry("ahrs", "", "initial state, datasheet, magnetic model") for _ in range("ahrs" in BUILT_IN)),
+    Entry("loose-full", "", "initial state, datasheet; GNSS and barometer, no magnetometer"),
+    Entry(f"{_AHRS}:Madgwick", "ahrs", _START),
+    Entry(f"{_AHRS}:Mahony", "ahrs", _START),
+    Entry(f"{_AHRS}:Aqua", "ahrs", _START),
+    Entry(f"{_AHRS}:AhrsEkf", "ahrs", "initial attitude, magnetic model"),
+    Entry(f"{_OTHER}:Fusion", "imufusion", _START),
+    Entry(f"{_OTHER}:Vqf", "vqf", _NORTH),
+    Entry(f"{_OTHER}:BasicVqf", "vqf", _NORTH),
+    Entry(f"{_OTHER}:OfflineVqf", "vqf", _NORTH, whole=True),
+)
+POSITION_FILTERS = (
+    Entry("loose-full", "", _OWN),
+    Entry("loose-15", "", _OWN),
+    Entry("tests.league.gtsam_filters:GtsamFixedLag", "gtsam", f"{_OWN}; no barometer"),
+    Entry(
+        "tests.league.gtsam_filters:GtsamGal3Ekf", "gtsam", "initial state, noise of the IMU; no barometer"
+    ),
+    Entry("tests.league.pyins_filter:PythonIns", "python-ins", f"{_OWN}; no barometer"),
+    Entry("classic-22", "filterpy", f"{_OWN}: the published model of bench on filterpy"),
+    Entry("smoother", "", _OWN, whole=True),
+)
+
+_WEAVE = [
+    {"kind": "straight", "duration_s": 60.0},
+    {"kind": "s-turns", "by_deg": 60.0, "bank_deg": 30.0, "count": 4},
+    {"kind": "straight", "duration_s": 60.0},
+]
+_SHORT = [
+    {"kind": "straight", "duration_s": 40.0},
+    {"kind": "s-turns", "by_deg": 40.0, "bank_deg": 30.0, "count": 2},
+]
+_BRIEF = [{"start_s": 40.0, "duration_s": 10.0}]
+_QUADROTOR = SuiteFlight("quadrotor", "hover-and-sprint")
+_MATCHED = {"leg": _WEAVE, "sensors.imu": "matched-mems", "sensors.gnss": "matched-white"}
+_OUTAGE = {"leg": _WEAVE, "gnss_outage": [{"start_s": 110.0, "duration_s": 30.0}]}
+
+DRAWS = 3
+"""Runs of each flight."""
+
+ATTITUDE = Suite(
+    "league-attitude", (), draws=DRAWS,
+    members=(_QUADROTOR, SuiteFlight("fixed-wing", "s-turns", {"leg": _WEAVE, "sensors.mag": "rm3100"})),
+)  # fmt: skip
+POSITION = Suite(
+    "league-position", (), draws=DRAWS,
+    members=(
+        SuiteFlight("matched", "s-turns", _MATCHED), SuiteFlight("outage", "s-turns", _OUTAGE), _QUADROTOR,
+    ),
+)  # fmt: skip
+AUDIT = Suite(
+    "league-audit", (), draws=1,
+    members=(SuiteFlight("short", "s-turns", {"leg": _SHORT, "sensors.mag": "rm3100", "gnss_outage": _BRIEF}),),
+)  # fmt: skip
+"""The flight on which causality is proven: a filter is run up to ten times."""
+
+SUITES = {"attitude": (ATTITUDE, ATTITUDE_FILTERS), "position": (POSITION, POSITION_FILTERS)}
+
+
+def find_reference(kind: str) -> str:
+    """Return the filter whose errors are 1: the reference of bench for that kind of filter."""
+    return "ahrs" if kind == "attitude" and "ahrs" in BUILT_IN else "loose-full"
