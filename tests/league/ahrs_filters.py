@@ -24,7 +24,7 @@ class _ByUpdates(AttitudeFilter):
 
 
 class Madgwick(_ByUpdates):
-    """Madgwick's gradient descent filter; gain 0.041 with a magnetometer: ahrs/filters/madgwick.py, "gain"."""
+    """Madgwick's gradient descent; gain 0.041 with a magnetometer: ahrs/filters/madgwick.py, "gain"."""
 
     def make(self):
         from ahrs.filters import Madgwick as Theirs

@@ -51,9 +51,7 @@ POSITION_FILTERS = (
     Entry("loose-full", "", _OWN),
     Entry("loose-15", "", _OWN),
     Entry("tests.league.gtsam_filters:GtsamFixedLag", "gtsam", f"{_OWN}; no barometer"),
-    Entry(
-        "tests.league.gtsam_filters:GtsamGal3Ekf", "gtsam", "initial state, noise of the IMU; no barometer"
-    ),
+    Entry("tests.league.gtsam_filters:GtsamGal3Ekf", "gtsam", "initial state, IMU noise; no barometer"),
     Entry("tests.league.pyins_filter:PythonIns", "python-ins", f"{_OWN}; no barometer"),
     Entry("classic-22", "filterpy", f"{_OWN}: the published model of bench on filterpy"),
     Entry("smoother", "", _OWN, whole=True),
@@ -64,11 +62,13 @@ _WEAVE = [
     {"kind": "s-turns", "by_deg": 60.0, "bank_deg": 30.0, "count": 4},
     {"kind": "straight", "duration_s": 60.0},
 ]
-_SHORT = [
-    {"kind": "straight", "duration_s": 40.0},
-    {"kind": "s-turns", "by_deg": 40.0, "bank_deg": 30.0, "count": 2},
-]
-_BRIEF = [{"start_s": 40.0, "duration_s": 10.0}]
+_SHORT = {
+    "leg": [
+        {"kind": "straight", "duration_s": 40.0},
+        {"kind": "s-turns", "by_deg": 40.0, "bank_deg": 30.0, "count": 2},
+    ],
+    "gnss_outage": [{"start_s": 40.0, "duration_s": 10.0}],
+}
 _QUADROTOR = SuiteFlight("quadrotor", "hover-and-sprint")
 _MATCHED = {"leg": _WEAVE, "sensors.imu": "matched-mems", "sensors.gnss": "matched-white"}
 _OUTAGE = {"leg": _WEAVE, "gnss_outage": [{"start_s": 110.0, "duration_s": 30.0}]}
@@ -88,7 +88,7 @@ POSITION = Suite(
 )  # fmt: skip
 AUDIT = Suite(
     "league-audit", (), draws=1,
-    members=(SuiteFlight("short", "s-turns", {"leg": _SHORT, "sensors.mag": "rm3100", "gnss_outage": _BRIEF}),),
+    members=(SuiteFlight("short", "s-turns", {**_SHORT, "sensors.mag": "rm3100"}),),
 )  # fmt: skip
 """The flight on which causality is proven: a filter is run up to ten times."""
 

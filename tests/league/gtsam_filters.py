@@ -100,18 +100,15 @@ class GtsamFixedLag:
         gtsam, noise = self.gtsam, self.gtsam.noiseModel
         _, lla, vel_n, r_pos, r_vel = fix
         p_t, C_tn = self.frame.locate(lla)
+        of_pos, of_vel = (noise.Gaussian.Covariance(C_tn @ np.diag(r) @ C_tn.T) for r in (r_pos, r_vel))
         before, (x, v, b) = self.keys(self.node), self.keys(self.node + 1)
         ahead = self.sums.predict(self.state, self.bias)
         w_b, arm_b = rate - self.bias.gyroscope(), self.sensors.antenna_b
         v_t = C_tn @ vel_n - ahead.attitude().matrix() @ np.cross(w_b, arm_b)
         graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         graph.push_back(gtsam.CombinedImuFactor(*before[:2], x, v, before[2], b, self.sums))
-        graph.push_back(
-            gtsam.GPSFactorArm(x, p_t, arm_b, noise.Gaussian.Covariance(C_tn @ np.diag(r_pos) @ C_tn.T))
-        )
-        graph.push_back(
-            gtsam.PriorFactorVector(v, v_t, noise.Gaussian.Covariance(C_tn @ np.diag(r_vel) @ C_tn.T))
-        )
+        graph.push_back(gtsam.GPSFactorArm(x, p_t, arm_b, of_pos))
+        graph.push_back(gtsam.PriorFactorVector(v, v_t, of_vel))
         self.insert(values, (x, v, b), ahead)
         self.smoother.update(graph, values, dict.fromkeys((x, v, b), t))
         best = self.smoother.calculateEstimate()
@@ -204,7 +201,5 @@ class GtsamGal3Ekf:
     def differentiate(X, function, step=1e-5):
         """Return the derivative of function(X, X') with respect to the ten coordinates of X'."""
         moves = step * np.eye(10)
-        return np.stack(
-            [(function(X, X.retract(one)) - function(X, X.retract(-one))) / (2.0 * step) for one in moves],
-            axis=1,
-        )
+        rises = [function(X, X.retract(one)) - function(X, X.retract(-one)) for one in moves]
+        return np.stack(rises, axis=1) / (2.0 * step)
