@@ -64,6 +64,8 @@ def make_league(
     hashes = {}
     for kind, (suite, entries) in SUITES.items():
         wanted = [one for one in entries if not only or one.label in only]
+        if not wanted:
+            continue
         suite = replace(suite, draw_seed=seed, draws=runs or suite.draws)
         found, hashes[kind] = _judge_suite(kind, suite, wanted, audit)
         rows += found
@@ -104,11 +106,9 @@ def _judge_suite(
         speed = measure_speed(cpu.get(one.label, ()), cpu[YARDSTICK], YARDSTICK)
         row["speed"] = [speed.value, speed.low, speed.high] if speed else None
         row["conventions"] = (
-            _search_attitude(plan, suite, one.label)
-            if "honesty" not in row["scores"].get(suite.members[0].name, {})
-            else next(
-                (found.sentence for found in judge_conventions(plan, suite, one.label, own)), "none found"
-            )
+            _search_whole(plan, suite, one.label, own)
+            if "honesty" in row["scores"].get(suite.members[0].name, {})
+            else _search_attitude(plan, suite, one.label)
         )
         if audit:
             mine = [[each for each in proven if each["estimator"] == one.label]]
@@ -118,8 +118,14 @@ def _judge_suite(
     return made, hash_suite(plan)
 
 
+def _search_whole(plan: Plan, suite: Suite, label: str, own: Sequence[Any]) -> str:
+    """Return which wrong convention explains a broken covariance, as a card does, or "none found"."""
+    found = judge_conventions(plan, suite, label, own)
+    return found[0].sentence if found else "none found"
+
+
 def _search_attitude(plan: Plan, suite: Suite, label: str) -> str:
-    """Return which wrong convention explains the attitude in the first run of the first flight, or "none found".
+    """Return which wrong convention explains the first run of the first flight, or "none found".
 
     The filter reports no covariance, so its attitude is searched as if its sigma were `_STAND_IN`.
     """

@@ -44,13 +44,7 @@ def write_tables(league: dict[str, Any]) -> str:
             ]
             heads = [*(f"{flight}: NEES / ideal" for flight in flights), "outage drift"]
             parts.append("Consistency, and drift in the outage:\n\n" + _draw(["filter", *heads], body))
-        body = [
-            [
-                _name(row), f"{row['package']} {row['version']}", row["told"], _write_end(row),
-                row.get("causality", "not audited").partition(";")[0], row.get("conventions", "-"), _write_interval(row.get("speed")), f"`{row['command']}`",
-            ]
-            for row in rows
-        ]  # fmt: skip
+        body = [_write_facts(row) for row in rows]
         heads = ["filter", "package", "told", "converged", "uses the future", "conventions", "CPU", "command"]
         parts.append(_draw(heads, body))
     minutes = league["cpu_s"] / 60.0
@@ -61,6 +55,13 @@ def write_tables(league: dict[str, Any]) -> str:
         f"{league['machine']}, {minutes:.1f} CPU minutes.\n"
     )
     return "\n".join(parts)
+
+
+def _write_facts(row: dict[str, Any]) -> list[str]:
+    ahead = row.get("causality", "not audited").partition(";")[0]
+    package, speed = f"{row['package']} {row['version']}", _write_interval(row.get("speed"))
+    facts = [_write_end(row), ahead, row.get("conventions", "-"), speed]
+    return [_name(row), package, row["told"], *facts, f"`{row['command']}`"]
 
 
 def _name(row: dict[str, Any]) -> str:

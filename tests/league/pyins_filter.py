@@ -12,7 +12,7 @@ _RPH = ["roll", "pitch", "heading"]
 
 
 class PythonIns:
-    """``run_feedback_filter`` of python-ins with covariance at 1 Hz (``time_step`` 1: pyins/tests/test_filters.py).
+    """``run_feedback_filter`` of python-ins with its covariance at 1 Hz, as pyins/tests/test_filters.py has it.
 
     Biases of the IMU by the datasheet ("EstimationModel"); of the fixes, the median of the reported
     variances. It reports standard deviations only, so the covariance here is diagonal, in roll, pitch and
