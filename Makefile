@@ -20,7 +20,7 @@ MINIMA := tests/test_api.py tests/test_compiled.py tests/test_earth.py tests/tes
 	tests/navigation/test_random_profiles.py tests/navigation/test_unscented.py \
 	tests/campaigns/test_campaign.py tests/campaigns/test_cluster.py tests/cli/test_cli.py
 
-.PHONY: run test long short lint kernels check perf oracle minima lock mutants guide pictures docs
+.PHONY: run test long short lint kernels check perf league oracle minima lock mutants guide pictures docs
 
 run: .venv/core
 	$(BIN)/bench run figure-eight -o runs/first --force
@@ -53,6 +53,10 @@ check: .venv/ready
 
 perf: .venv/perf
 	$(BIN)/python -m tests.perf.ratios
+
+# public filters on the flights of the league; about ten minutes, the page bench/guide/league.md
+league: .venv/league
+	$(BIN)/python -m tests.league --page -o tests/league/league.json
 
 oracle: .venv/ready
 	$(BIN)/python -m tests.oracle
@@ -106,4 +110,8 @@ mutants: .venv/ready
 
 .venv/perf: .venv/ready
 	$(PIP) --editable '.[test,perf]'
+	touch $@
+
+.venv/league: .venv/ready
+	$(PIP) --editable '.[test,league]'
 	touch $@

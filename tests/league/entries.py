@@ -83,7 +83,7 @@ ATTITUDE = Suite(
 POSITION = Suite(
     "league-position", (), draws=DRAWS,
     members=(
-        SuiteFlight("matched", "s-turns", _MATCHED), SuiteFlight("outage", "s-turns", _OUTAGE), _QUADROTOR,
+        SuiteFlight("matched", "s-turns", _MATCHED), SuiteFlight("outage", "s-turns", _OUTAGE),
     ),
 )  # fmt: skip
 AUDIT = Suite(

@@ -76,6 +76,8 @@ class GtsamFixedLag:
         self.P = block_diag(P, np.diag(sd**2))
         self.sums = gtsam.PreintegratedCombinedMeasurements(params, self.bias)
         settings = gtsam.ISAM2Params()
+        settings.setRelinearizeThreshold(0.0)  # this and the next: FixedLagSmootherExample.cpp
+        settings.relinearizeSkip = 1
         settings.setFactorization("QR")  # Cholesky finds biases in SI units indeterminate
         self.smoother = gtsam.IncrementalFixedLagSmoother(_LAG, settings)
         noise, (x, v, b) = gtsam.noiseModel, self.keys(0)

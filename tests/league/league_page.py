@@ -45,7 +45,16 @@ def write_tables(league: dict[str, Any]) -> str:
             heads = [*(f"{flight}: NEES / ideal" for flight in flights), "outage drift"]
             parts.append("Consistency, and drift in the outage:\n\n" + _draw(["filter", *heads], body))
         body = [_write_facts(row) for row in rows]
-        heads = ["filter", "package", "told", "converged", "uses the future", "conventions", "CPU", "command"]
+        heads = [
+            "filter",
+            "package",
+            "also gets",
+            "converged",
+            "uses the future",
+            "conventions",
+            "CPU",
+            "command",
+        ]
         parts.append(_draw(heads, body))
     minutes = league["cpu_s"] / 60.0
     seed = "the seed of the suite" if league["seed"] is None else f"seed {league['seed']}"

@@ -3,7 +3,6 @@
 import numpy as np
 
 from bench.core.mathematics import earth
-from bench.core.records.sensor_specs import GAUSS_MARKOV_PEAK
 
 
 def causal_fixes(sensors):
@@ -27,11 +26,7 @@ def causal_fixes(sensors):
 
 def bias_model(triad):
     """Return sd of the bias at the start, noise density and walk density of its bias, by the datasheet."""
-    sd = (
-        triad.instability_sd
-        if hasattr(triad, "instability_sd")
-        else triad.bias_instability / GAUSS_MARKOV_PEAK
-    )
+    sd = triad.instability_sd
     walk = sd * np.sqrt(2.0 / triad.bias_correlation) if triad.bias_correlation else 0.0
     return float(np.hypot(triad.turn_on_bias_sd, sd)), float(triad.random_walk), float(walk)
 

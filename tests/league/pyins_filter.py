@@ -12,7 +12,7 @@ _RPH = ["roll", "pitch", "heading"]
 
 
 class PythonIns:
-    """``run_feedback_filter`` of python-ins with its covariance at 1 Hz, as pyins/tests/test_filters.py has it.
+    """``run_feedback_filter`` of python-ins with a covariance at 1 Hz, as in pyins/tests/test_filters.py.
 
     Biases of the IMU by the datasheet ("EstimationModel"); of the fixes, the median of the reported
     variances. It reports standard deviations only, so the covariance here is diagonal, in roll, pitch and
