@@ -59,8 +59,8 @@ POSITION_FILTERS = (
 
 _WEAVE = [
     {"kind": "straight", "duration_s": 60.0},
-    {"kind": "s-turns", "by_deg": 60.0, "bank_deg": 30.0, "count": 4},
-    {"kind": "straight", "duration_s": 60.0},
+    {"kind": "s-turns", "by_deg": 60.0, "bank_deg": 30.0, "count": 3},
+    {"kind": "straight", "duration_s": 20.0},
 ]
 _SHORT = {
     "leg": [
@@ -69,9 +69,23 @@ _SHORT = {
     ],
     "gnss_outage": [{"start_s": 40.0, "duration_s": 10.0}],
 }
-_QUADROTOR = SuiteFlight("quadrotor", "hover-and-sprint")
+_QUADROTOR = SuiteFlight(
+    "quadrotor", "hover-and-sprint",
+    {
+        "leg": [
+            {"kind": "static", "duration_s": 10.0},
+            {"kind": "take-off", "to_height_m": 10.0, "rate_mps": 2.0},
+            {"kind": "hover", "duration_s": 20.0},
+            {"kind": "yaw", "by_deg": 360.0, "rate_deg_s": 45.0},
+            {"kind": "orbit", "radius_m": 15.0, "laps": 1.0, "speed_mps": 5.0},
+            {"kind": "sprint", "distance_m": 150.0, "speed_mps": 13.0, "off_nose_deg": -145.0},
+            {"kind": "hover", "duration_s": 10.0},
+        ],
+        "evaluation.from_s": 30.0,
+    },
+)  # fmt: skip
 _MATCHED = {"leg": _WEAVE, "sensors.imu": "matched-mems", "sensors.gnss": "matched-white"}
-_OUTAGE = {"leg": _WEAVE, "gnss_outage": [{"start_s": 110.0, "duration_s": 30.0}]}
+_OUTAGE = {"leg": _WEAVE, "gnss_outage": [{"start_s": 70.0, "duration_s": 30.0}]}
 
 DRAWS = 3
 """Runs of each flight."""

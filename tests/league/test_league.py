@@ -109,6 +109,29 @@ def test_an_adapter_takes_nothing_before_it_arrives(weave, label):
     np.testing.assert_array_equal(part.vel_n[:n], whole.vel_n[:n])
 
 
+@pytest.mark.parametrize("label", ["Madgwick", "Mahony", "Vqf"])
+def test_an_adapter_gives_what_the_package_gives_by_itself(weave, label):
+    """The batch class of the package on arrays, in its own frame, against the adapter sample by sample."""
+    _, sensed = weave
+    imu, filter_ = sensed.data.imu, build(label)
+    solution = filter_.run(sensed.data, sensed.initial)
+    gyro, accel = imu.dtheta_b / imu.dt[:, None], imu.dvel_b / imu.dt[:, None]
+    if label == "Vqf":
+        theirs = importlib.import_module("vqf").VQF(float(imu.dt[0])).updateBatch(gyro, accel)["quat6D"]
+        frame = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])  # east, north, up in n
+    else:
+        start = rotation.multiply(rotation.conjugate(filter_.frame), sensed.initial.q_nb)
+        options = {"gain": 0.041} if label == "Madgwick" else {}
+        make = getattr(importlib.import_module("ahrs").filters, label)
+        first = np.vstack([gyro[:1], gyro]), np.vstack([accel[:1], accel])  # its row 0 is the start
+        theirs = make(*first, q0=start, Dt=float(imu.dt[0]), **options).Q[1:]
+        frame = np.diag([1.0, -1.0, -1.0]) if label == "Madgwick" else None
+        frame = np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]]) if frame is None else frame
+    row = np.searchsorted(imu.t, solution.t[1:] + 1e-9) - 1
+    C_nb = frame @ rotation.matrix(theirs[row])
+    np.testing.assert_allclose(rotation.matrix(solution.q_nb[1:]), C_nb, atol=1e-4)
+
+
 @pytest.fixture(scope="module")
 def small():
     """A league of two filters on a short flight; the package of the third is nowhere."""
