@@ -6,7 +6,7 @@ import numpy as np
 
 from bench.core.mathematics import rotation
 from bench.navigation.filter_adapters import nothing_known
-from tests.league.position_records import bias_model, causal_fixes, output_rows
+from tests.league.position_records import bias_model, causal_fixes
 
 _RPH = ["roll", "pitch", "heading"]
 
@@ -56,7 +56,7 @@ class PythonIns:
         return self.answer(sensors, result)
 
     def answer(self, sensors, result):
-        rows = np.searchsorted(result.trajectory.index, sensors.imu.t[output_rows(sensors)] + 1e-9) - 1
+        rows = np.searchsorted(result.trajectory.index, sensors.output_t + 1e-9) - 1
         state = result.trajectory.to_numpy()[np.maximum(rows, 0)]
         t_sd = result.trajectory_sd.index.to_numpy()
         sd = result.trajectory_sd.to_numpy()[np.searchsorted(t_sd, sensors.output_t + 1e-9) - 1]

@@ -88,6 +88,8 @@ def test_a_position_filter_is_as_good_as_ours_on_its_own_errors(weave, label):
         row = np.searchsorted(truth.t, solution.t - 1e-9)
         late = solution.t > 20.0
         pos_n = earth.difference_n(solution.lla, truth.lla[row])[late]
+        start = earth.difference_n(solution.lla[:1], truth.lla[:1])
+        assert np.abs(start).max() < 50.0
         vel_n = (solution.vel_n - truth.vel_n[row])[late]
         errors.append([np.sqrt((one**2).sum(axis=1).mean()) for one in (pos_n, vel_n)])
         assert np.linalg.eigvalsh(solution.cov[-1]).min() > 0.0
