@@ -33,7 +33,7 @@ from bench.core.records.sensor_specs import AssumedSpecs
 from bench.navigation.engine.gate import REFUSED, SOUND, InnovationGate, growth
 from bench.navigation.engine.integrity import nis
 from bench.navigation.engine.piecewise import InPieces
-from bench.navigation.engine.session import Kept
+from bench.navigation.engine.session import Kept, Scratch
 from bench.navigation.engine.timeline import TIME_TOLERANCE
 from bench.navigation.error_state_filter.aiding_sensors import MAGNETOMETER, unmodeled
 from bench.navigation.error_state_filter.answers import answers as join_answers
@@ -67,7 +67,7 @@ class Ahrs:
     --------
     >>> import bench
     >>> result = bench.run("approach", estimators=["ahrs"], causes=False)
-    >>> bool(result.metrics("ahrs")["tilt_rmse_deg"] < 3.0)
+    >>> bool(result.metrics["ahrs"]["tilt_rmse_deg"] < 3.0)
     True
     """
 
@@ -109,6 +109,7 @@ class AhrsFlight(SteppedFilter):
     unknown: Kept[float]  # variance of attitude by gaps since P is as it is [rad^2]
     lasting: Kept[float]  # number of periods that an acceleration has lasted
     gate: Kept[InnovationGate]
+    work: Scratch[FloatArray]  # (9, 3) of the kernel
 
     shapes = (16,), (9, 9), (6,)
     one_antenna = False
@@ -140,10 +141,15 @@ class AhrsFlight(SteppedFilter):
             self.P[CALIBRATION, CALIBRATION] = _calibration(specs.mag)
         self.sums, self.gained, self.spans = np.zeros((3, 12)), np.zeros((3, 16)), np.zeros(3)
         self.before = self.C_nb.copy()
-        self.unknown, self.lasting, self.work = 0.0, 0.0, np.zeros((9, 3))
+        self.unknown, self.lasting = 0.0, 0.0
+        self.make_scratch()
         self.gate = InnovationGate(
             (*SENSORS, "gravity"), initial.t, options.gate_probability, options.readmit_after_s
         )
+
+    def make_scratch(self) -> None:
+        """Allocate the memory of the kernel."""
+        self.work = np.zeros((9, 3))
 
     def increments(self, increments_b: FloatArray) -> FloatArray:
         """Return increments as they are."""
