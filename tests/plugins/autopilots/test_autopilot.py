@@ -193,9 +193,9 @@ def begin(heading_from="", own=None, still=5, **more):
     )
     start = {"at": 1.5, "align_for": 4.0, "attitude": (0.0, 0.0, np.pi / 2), "tilt_sd": 0.02}
     start |= {"heading_sd": 0.3, "heading_from": heading_from, "drift_sd": 0.0} | more
-    accel = SimpleNamespace(accel=None)
+    assumed = SimpleNamespace(imu=SimpleNamespace(accel=None))
     spec = SimpleNamespace(
-        name="x", antenna_b=ARM, start=SimpleNamespace(**start), assumed=SimpleNamespace(imu=accel)
+        name="x", gnss="l1-code", antenna_b=ARM, start=SimpleNamespace(**start), assumed=assumed
     )
     return find_start(SimpleNamespace(fixes=fixes, imu=imu, instruments={}), spec, own)
 
