@@ -87,7 +87,8 @@ def asked_bank(spec: FlightSpec) -> float:
 def find_excess(spec: FlightSpec, pilot: Pilot) -> list[str]:
     """Return what is beyond the limits of a flight with wings, a line each; nothing of what never flies.
 
-    The bank is the one asked for within 3 deg in smooth air, 8 deg in rough air; loads are those of the class
+    The bank is the one asked for within 3 deg in smooth air, 8 deg in rough air, 10 deg in thermals, which a
+    glider centers; loads are those of the class
     of aircraft, airspeeds within a tenth of its limits. Aerobatics have wider limits.
     """
     craft, load = spec.aircraft, LIMITS[spec.aircraft.category]
@@ -95,6 +96,7 @@ def find_excess(spec: FlightSpec, pilot: Pilot) -> list[str]:
         return []
     smooth = spec.severity == 0 and not spec.gusts
     spare, slip, stopped = (3.0, 5.0, 0.5) if smooth else (8.0, 10.0, 2.0)
+    spare = 10.0 if spec.thermals else spare
     gentle = not any(leg.any_bank for leg in spec.legs)
     slow, fast = 0.9 * craft.min_speed, (1.1 if gentle else 1.3) * craft.max_speed
     limits = {

@@ -118,7 +118,10 @@ def test_energy_is_lost_to_drag_alone(calm):
             },
             "points[0] alt_m = 1500 m: a glider holds no altitude; leave it out",
         ),
-        ({"leg.1": {"kind": "hover", "duration_s": 9.0}}, "is flown by a multirotor, and the sgs is none"),
+        (
+            {"leg.1": {"kind": "hover", "duration_s": 9.0}},
+            "is flown by a multirotor or a helicopter, and the sgs is none",
+        ),
         ({"start.on_ground": True}, "the sgs is a glider; start it in the air, as a tow ends"),
         (
             {"terrain": {"file": "valley.asc"}},

@@ -33,10 +33,12 @@ def write_tables(league: dict[str, Any]) -> str:
         if not rows:
             continue
         flights = [flight.name for flight in suite.members]
-        heads = [f"{flight}: {_HEADS[topic]}" for flight in flights for topic in _COLUMNS[kind]]
-        body = [[_name(row), *_write_ratios(row, flights, _COLUMNS[kind])] for row in rows]
-        title = f"RMS errors of {kind} filters, and their ratio to the errors of `{find_reference(kind)}`"
-        parts.append(f"{title}:\n\n" + _draw(["filter", *heads], body))
+        title = f"RMS errors of {kind} filters, and their ratio to the errors of `{find_reference(kind)}`:\n"
+        parts.append(title)
+        for flight in flights:
+            heads = [f"{flight}: {_HEADS[topic]}" for topic in _COLUMNS[kind]]
+            body = [[_name(row), *_write_ratios(row, flight, _COLUMNS[kind])] for row in rows]
+            parts.append(_draw(["filter", *heads], body))
         if kind == "position":
             body = [
                 [_name(row), *(_write_consistency(row, flight) for flight in flights), _write_drift(row)]
@@ -44,18 +46,12 @@ def write_tables(league: dict[str, Any]) -> str:
             ]
             heads = [*(f"{flight}: NEES / ideal" for flight in flights), "outage drift"]
             parts.append("Consistency, and drift in the outage:\n\n" + _draw(["filter", *heads], body))
-        body = [_write_facts(row) for row in rows]
-        heads = [
-            "filter",
-            "package",
-            "also gets",
-            "converged",
-            "uses the future",
-            "conventions",
-            "CPU",
-            "command",
+        body = [
+            [_name(row), f"{row['package']} {row['version']}", row["told"], _write_end(row)] for row in rows
         ]
-        parts.append(_draw(heads, body))
+        parts.append(_draw(["filter", "package", "also gets", "converged"], body))
+        body = [_write_facts(row) for row in rows]
+        parts.append(_draw(["filter", "uses the future", "conventions", "CPU"], body))
     minutes = league["cpu_s"] / 60.0
     seed = "the seed of the suite" if league["seed"] is None else f"seed {league['seed']}"
     hashes = ", ".join(f"{kind} {one}" for kind, one in league["suites"].items())
@@ -68,9 +64,7 @@ def write_tables(league: dict[str, Any]) -> str:
 
 def _write_facts(row: dict[str, Any]) -> list[str]:
     ahead = row.get("causality", "not audited").partition(";")[0]
-    package, speed = f"{row['package']} {row['version']}", _write_interval(row.get("speed"))
-    facts = [_write_end(row), ahead, row.get("conventions", "-"), speed]
-    return [_name(row), package, row["told"], *facts, f"`{row['command']}`"]
+    return [_name(row), ahead, row.get("conventions", "-"), _write_interval(row.get("speed"))]
 
 
 def _name(row: dict[str, Any]) -> str:
@@ -89,18 +83,17 @@ def _write_interval(found: Any) -> str:
     return value if low == high else f"{value} ({low} to {high})"
 
 
-def _write_ratios(row: dict[str, Any], flights: list[str], topics: tuple[str, ...]) -> list[str]:
+def _write_ratios(row: dict[str, Any], flight: str, topics: tuple[str, ...]) -> list[str]:
     cells = []
-    for flight in flights:
-        for topic in topics:
-            found = row.get("scores", {}).get(flight, {}).get(topic)
-            if not found:
-                cells.append("-")
-                continue
-            known = [value for value in found["by_run"] if value is not None]
-            rms = write_figure(float(np.sqrt(np.mean(np.square(known)))))
-            ratio = _write_interval([found["value"], found["low"], found["high"]])
-            cells.append(f"{rms} {_UNITS[topic]}; {ratio}")
+    for topic in topics:
+        found = row.get("scores", {}).get(flight, {}).get(topic)
+        if not found:
+            cells.append("-")
+            continue
+        known = [value for value in found["by_run"] if value is not None]
+        rms = write_figure(float(np.sqrt(np.mean(np.square(known)))))
+        ratio = _write_interval([found["value"], found["low"], found["high"]])
+        cells.append(f"{rms} {_UNITS[topic]}; {ratio}")
     return cells
 
 
