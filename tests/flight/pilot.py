@@ -87,20 +87,20 @@ def asked_bank(spec: FlightSpec) -> float:
 def find_excess(spec: FlightSpec, pilot: Pilot) -> list[str]:
     """Return what is beyond the limits of a flight with wings, a line each; nothing of what never flies.
 
-    The bank is the one asked for within 3 deg in smooth air, 8 deg in rough air, 10 deg in thermals, which a
-    glider centers; loads are those of the class
-    of aircraft, airspeeds within a tenth of its limits. Aerobatics have wider limits.
+    The bank is the one asked for within 3 deg in smooth air, 8 deg in rough air. A thermal carries a circle
+    off; back to it the guidance banks up to the limit of the aircraft. Loads are within those of the class,
+    airspeeds within a tenth of the aircraft's limits. Aerobatics have wider limits.
     """
     craft, load = spec.aircraft, LIMITS[spec.aircraft.category]
     if np.isnan(pilot.bank) or craft.hovers:
         return []
     smooth = spec.severity == 0 and not spec.gusts
     spare, slip, stopped = (3.0, 5.0, 0.5) if smooth else (8.0, 10.0, 2.0)
-    spare = 10.0 if spec.thermals else spare
+    asked = degrees(craft.max_bank) if spec.thermals else asked_bank(spec)
     gentle = not any(leg.any_bank for leg in spec.legs)
     slow, fast = 0.9 * craft.min_speed, (1.1 if gentle else 1.3) * craft.max_speed
     limits = {
-        "bank": (pilot.bank, 0.0, asked_bank(spec) + spare if gentle else 180.0),
+        "bank": (pilot.bank, 0.0, asked + spare if gentle else 180.0),
         "least load": (pilot.load[0], load.load_low, load.load_high),
         "most load": (pilot.load[1], load.load_low, load.load_high),
         "least airspeed": (pilot.speed[0], slow, fast),

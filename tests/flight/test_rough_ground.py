@@ -4,6 +4,7 @@ from dataclasses import replace
 from itertools import pairwise
 from math import pi
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,8 +18,13 @@ from bench.io.config import read_profile
 from bench.io.config.library import read_jsbsim_aircraft
 from bench.simulation.flight import recorder
 from bench.simulation.flight.executive import load_aircraft
-from bench.simulation.flight.ground.gear import find_wheels
-from bench.simulation.flight.ground.roughness import ElevationProfile, elevation_psd, over_rough_ground
+from bench.simulation.flight.ground.gear import Wheel, find_wheels
+from bench.simulation.flight.ground.roughness import (
+    ElevationProfile,
+    _RoughGround,
+    elevation_psd,
+    over_rough_ground,
+)
 from bench.simulation.flight.jsbsim_units import INCH
 from bench.simulation.flight.legs.runway import TakeOff
 from bench.simulation.flight.legs.taxi import Taxi
@@ -211,3 +217,33 @@ def test_roughness_is_a_key_of_a_runway():
         read_profile("delivery", {"start.roughness_cm3": 0.13})
     with pytest.raises(ConfigError, match=r"roughness_cm3 = 60 .* is outside 0 to 50"):
         read_profile("circuit", {"start.roughness_cm3": 60.0})
+
+
+class _Slope(_RoughGround):
+    """Ground that rises by 0.01 along and falls by 0.02 to the right, 0.05 m higher at each step."""
+
+    def __init__(self, turned):
+        self._wheels = [Wheel("nose", 2.0, 0.0, 0.1, 0.0), Wheel("right", -1.0, 1.5, 0.2, 0.0)]
+        self._runway, self._read_heading, self._dt = (0.3, 1.0, 0.0), lambda: 0.3 + turned, 0.5
+        self._panel, self._near, self._before = SimpleNamespace(true_alt_agl=lambda: 1.0), 20.0, None
+        self._place, self._run, self._at_rest = lambda: (100.0, -7.0), lambda: True, [5.0, 6.0]
+        self.seen, self.risen = [], 0.0
+        self._moves = [lambda inches, k=k: self.seen.append((k, inches)) for k in range(2)]
+
+    def elevation(self, along, across):
+        return 0.01 * along - 0.02 * across + self.risen
+
+
+@pytest.mark.parametrize(
+    ("turned", "nose", "right"), [(0.0, (2, 0), (-1, 1.5)), (pi / 2, (0, 2), (-1.5, -1))]
+)
+def test_each_wheel_is_at_its_own_place_and_a_rise_leads(turned, nose, right):
+    """By hand: nose and right wheel along and across; rising ground adds c / k times its speed."""
+    ground = _Slope(turned)
+    ground.step()
+    ground.risen = 0.05
+    ground.step()
+    for k, ((along, across), lead) in enumerate(zip((nose, right), (0.1, 0.2), strict=True)):
+        height = 0.01 * (100.0 + along) - 0.02 * (-7.0 + across)
+        for n, moved in enumerate((height, height + 0.05 + lead * 0.05 / 0.5)):
+            assert ground.seen[2 * n + k] == (k, pytest.approx([5.0, 6.0][k] - moved / INCH))

@@ -216,3 +216,14 @@ def test_what_it_leaves_out_is_named():
     assert told[0].startswith("sustained acceleration")
     assert any("g-sensitivity" in one for one in told)
     assert not any("calibration" in one or "scale factor" in one for one in told)
+
+
+def test_the_rate_of_the_earth_does_not_turn_the_attitude():
+    """An hour at rest with gyros that measure it alone: 15 deg of rotation, and none is left."""
+    w_n = earth.EARTH_RATE * np.array([np.cos(0.8), 0.0, -np.sin(0.8)])
+    begun = rotation.matrix(rotation.from_euler(0.3, -0.2, 1.1))
+    C_nb, dt = begun.copy(), 1.0
+    memory = np.zeros((3, 12)), np.zeros((3, 16)), np.zeros(3), np.zeros((9, 3))
+    for _ in range(3600):
+        ahrs.turn_kernel(C_nb, np.zeros(15), w_n, dt, begun.T @ w_n * dt, np.zeros(3), *memory)
+    assert_allclose(C_nb, begun, atol=1e-10)
