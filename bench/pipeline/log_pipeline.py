@@ -391,6 +391,8 @@ class Session:
 
     def check_room(self, duration: float) -> None:
         """Raise ConfigError if an outage does not fit into the evaluated part of the recording."""
+        if not len(self.fixes):
+            raise ConfigError("--outages: without [gnss] there is nothing to lose; use --outages none")
         last = float(self.fixes.t[-1])
         if self.first + duration > last:
             raise ConfigError(f"--outages: {duration:g} s do not fit into {self.first:.1f} to {last:.1f} s")

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from bench.experiments.card.card_lines import write_figure
-from tests.league.entries import SUITES, find_reference
+from tests.league.entries import SUITES
 
 PAGE = Path(__file__).parents[2] / "bench" / "guide" / "league.md"
 _BEGIN, _END = "<!-- make league writes -->\n", "<!-- to here -->\n"
@@ -33,7 +33,8 @@ def write_tables(league: dict[str, Any]) -> str:
         if not rows:
             continue
         flights = [flight.name for flight in suite.members]
-        title = f"RMS errors of {kind} filters, and their ratio to the errors of `{find_reference(kind)}`:\n"
+        reference = league["references"][kind]
+        title = f"RMS errors of {kind} filters, and their ratio to the errors of `{reference}`:\n"
         parts.append(title)
         for flight in flights:
             heads = [f"{flight}: {_HEADS[topic]}" for topic in _COLUMNS[kind]]

@@ -2,7 +2,9 @@
 
 import copy
 import importlib
+import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,6 +15,7 @@ from bench.experiments.card.card_suite import Suite, SuiteFlight
 from tests.league import entries, league, league_page
 from tests.league.entries import ATTITUDE_FILTERS, POSITION_FILTERS, Entry
 
+MEASURED = Path(__file__).with_name("league.json")
 ADAPTERS = {one.label: one for one in (*ATTITUDE_FILTERS, *POSITION_FILTERS) if one.use.startswith("tests.")}
 HOVER = {
     "leg": [
@@ -179,6 +182,12 @@ def test_a_seed_draws_other_noise(small):
 
 
 def test_the_page_has_a_row_for_each_filter():
-    text = league_page.PAGE.read_text(encoding="utf-8")
+    text, measured = (
+        league_page.PAGE.read_text(encoding="utf-8"),
+        json.loads(MEASURED.read_text(encoding="utf-8")),
+    )
+    assert league_page.write_tables(measured) in text
     for one in (*ATTITUDE_FILTERS, *POSITION_FILTERS):
-        assert f"| `{one.label}`" in text or one.use == "ahrs", one.label
+        assert f"| `{one.label}`" in text or one.label == "ahrs", one.label  # measured before it was there
+    for kind, reference in measured["references"].items():
+        assert any(row["filter"] == reference and row["kind"] == kind for row in measured["rows"])

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import bench
+from bench.cli.command_line import main
 from bench.core.mathematics import rotation
 from bench.core.words.exceptions import ConfigError, EstimatorError
 from bench.simulation import sensors
@@ -106,3 +107,13 @@ def test_a_place_beside_a_receiver_has_no_effect(folder):
     path.write_text(path.read_text().replace("[sensors.assumed]", '[sensors.assumed]\ngnss = "l1-code"'))
     with pytest.raises(ConfigError, match=r"place has no effect with \[gnss\]"):
         bench.read_log(path)
+
+
+def test_nothing_can_be_lost_or_withheld_without_a_receiver(folder, capsys):
+    alone = log(folder, "alone")
+    assert main(["navigate", str(alone), "--outages", "10", "-o", str(folder / "out")]) == 2
+    assert "--outages: without [gnss] there is nothing to lose" in " ".join(capsys.readouterr().err.split())
+    assert not (folder / "out").exists()
+    held = log(folder, "held", "[evaluation]\nwithhold = 5\n")
+    with pytest.raises(ConfigError, match=r"withhold has no effect without \[gnss\]"):
+        bench.read_log(held)

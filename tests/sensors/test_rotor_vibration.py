@@ -272,6 +272,7 @@ def test_a_flight_in_pieces_has_the_bits_of_the_whole(inner):
         (replace(ROTORS, rotor_right=0.0, gyration_z=0.0), "needs rotor_right_m, gyration_z_m above 0"),
         (replace(ROTORS, rotor_reference=0.0), "needs rotor_reference_rpm above 0"),
         (VibrationSpec(inner_rate=1000.0), "inner_rate_hz has no effect"),
+        (VibrationSpec(imu_forward=3.0), "imu_forward_m has no effect"),
     ],
 )
 def test_what_cannot_be_is_one_line(spec, message):

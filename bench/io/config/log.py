@@ -190,6 +190,8 @@ def load_log(
         table = table.model_copy(update={"evaluation": evaluation})
     elif table.reference and withhold:
         wrong.append(f"{place}[evaluation] withhold is for a log without [reference]")
+    elif table.gnss is None and withhold:
+        wrong.append(f"{place}[evaluation] withhold has no effect without [gnss]")
     tables = {"imu": table.imu, "gnss": table.gnss, **{kind: getattr(table, kind) for kind in INSTRUMENTS}}
     sources = {
         kind: _find_source(row, kind, beside, place, wrong, table.date) for kind, row in tables.items()
