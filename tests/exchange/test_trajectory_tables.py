@@ -403,6 +403,7 @@ def test_rotor_speeds_of_a_table_are_those_of_its_truth(tmp_path, unit):
     [
         (spun("rad_s", rotors=SPEEDS[:3]), "rad_s", QUATERNION, "without rotor_speed_behind_right"),
         (spun("rad_s", lowest=-60.0), "rad_s", QUATERNION, r"row 1: rotor_\w+ = -10 is below 0: give"),
+        (spun("rad_s", lowest=1e30), "rad_s", QUATERNION, r"row 1: rotor_\w+ = 1e\+30 is above 10000 rad/s"),
         (spun("rad_s", lowest=np.nan), "rad_s", QUATERNION, "row 1: rotor_speed_ahead_right_rad_s is not a"),
         (spun("hz"), "hz", QUATERNION, "_hz' must end in its unit: .*_rad_s or .*_rpm"),
         (spun("rad_s"), "rad_s", (), "right_rad_s needs an attitude in the table: leave it"),

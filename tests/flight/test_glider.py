@@ -190,8 +190,10 @@ def test_a_thermal_leg_is_of_a_glider_and_needs_its_thermal():
     with pytest.raises(ConfigError, match=r"\(thermal\): is flown by a glider, and the aerosonde is none"):
         read_profile("thermal-soaring", overrides={"aircraft": "aerosonde"})
     leg = CircleThermal(1, 1800.0, 60.0, radians(40.0))
-    with pytest.raises(FlightError, match=r"there are 0 thermals; \[wind.thermals\] makes them"):
-        fly(replace(SOARING, legs=(leg,), thermals=None, duration=None))
+    with pytest.raises(ConfigError, match=r"\[\[leg\]\] 2 \(thermal\): needs \[wind\.thermals\]"):
+        read_profile("thermal-soaring", overrides={"wind": {"from_deg": 0.0, "speed_mps": 0.0}})
+    with pytest.raises(FlightError, match=r"number = 9999: there are \d+ thermals$"):
+        fly(replace(SOARING, legs=(replace(leg, number=9999),), duration=None))
 
 
 @pytest.mark.parametrize("side", [1, -1])

@@ -8,7 +8,7 @@ import pytest
 
 from bench.core.mathematics import earth, rotation
 from bench.core.records.flight_specs import LegStart
-from bench.core.words.exceptions import ConfigError
+from bench.core.words.exceptions import ConfigError, FlightError
 from bench.io.config import read_profile
 from bench.simulation.flight.guidance.sequencer import fly_legs
 from bench.simulation.flight.legs.go_around import GoAround
@@ -130,6 +130,13 @@ def test_a_decision_below_the_flare_is_no_go_around():
     assert "is below the 9 m at which the navion flares" in replace(leg, decision=8.0).check(start)[0]
     assert "is not 20 m above the decision height" in replace(leg, to_height=40.0).check(start)[0]
     assert runway.heading == ALONG
+
+
+def test_a_decision_height_above_the_aircraft_ends_the_flight_at_once():
+    spec = broken_off("navion")
+    high = replace(spec.legs[0], decision=900.0, to_height=1000.0)
+    with pytest.raises(FlightError, match=r"the glide path ends 90\d m above the runway, the aircraft is at"):
+        fly_here(replace(spec, legs=(high,)))
 
 
 def test_a_go_around_is_a_leg_of_a_profile():

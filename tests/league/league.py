@@ -71,7 +71,8 @@ def make_league(
         rows += found
     return {
         "format": 1, "stamp": stamp(), "seed": seed, "versions": dict(results.list_versions()),
-        "suites": hashes, "references": {kind: find_reference(kind) for kind in hashes},
+        "suites": hashes, "flights": {kind: [one.name for one in SUITES[kind][0].members] for kind in hashes},
+        "references": {kind: find_reference(kind) for kind in hashes},
         "machine": f"{platform.machine()}, {platform.system()}, {_name_processor()}",
         "cpu_s": sum(os.times()[:4]) - begun, "rows": rows,
     }  # fmt: skip

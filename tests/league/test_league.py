@@ -144,7 +144,7 @@ def small():
     filters = (Entry("loose-full", "", "x"), Entry("loose-15", "", "x"), Entry("x:Missing", "no-such", "x"))
     suites = {"position": (Suite("league-small", (), draws=2, members=(flight,)), filters)}
     with pytest.MonkeyPatch.context() as patch:
-        for module in (entries, league, league_page):
+        for module in (entries, league):
             patch.setattr(module, "SUITES", suites)
         yield league.make_league(audit=False), patch
 

@@ -200,7 +200,7 @@ def test_no_amplitude_gives_the_bits_of_the_truth():
     assert shaken[1] is truth.dvel_b
     noisy = TriadSpec(random_walk=1e-4, quantization=1e-6)
     plain, _ = run(replace(truth, rotors=hover(1.0, 200.0, 0.0).rotors), gyro=noisy, accel=noisy)
-    still, _ = run(truth, gyro=noisy, accel=noisy, vibration=none)
+    still, _ = run(truth, gyro=noisy, accel=noisy, vibration=VibrationSpec())
     assert_array_equal(still.dtheta_b, plain.dtheta_b)
     assert_array_equal(still.dvel_b, plain.dvel_b)
     stopped, _ = run(

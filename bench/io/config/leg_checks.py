@@ -207,6 +207,9 @@ def check_air(table: ProfileTable) -> list[str]:
         )
     if wind.thermals and table.terrain and table.terrain.file:
         wrong.append("[wind.thermals] stand on flat ground; leave [terrain] file out")
+    if not wind.thermals:
+        circles = (number for number, leg in enumerate(table.leg, 1) if leg.made.kind == "thermal")
+        wrong += [f"[[leg]] {number} (thermal): needs [wind.thermals]" for number in circles]
     alts = [row.alt_m for row in wind.layers]
     for number, alt in enumerate(alts):
         if alt in alts[:number]:

@@ -56,6 +56,7 @@ MOST_ROWS = 3_000_000
 _FEWEST = 8  # rows; a quintic spline needs 6
 _KNOT_RATE = 60.0  # largest rate of the knots of the spline [Hz]
 _FINE_RATE = 400.0  # smallest rate of the steps that make an increment [Hz]
+_FASTEST = 1e4  # speed of a rotor: 95,000 rpm [rad/s]
 _CHUNK = 50_000  # truth samples made at a time
 
 _NORM_OFF, _NORM_WRONG = 1e-6, 1e-2  # |norm of a quaternion - 1| above which it is reported, rejected
@@ -228,23 +229,25 @@ def _check_rows(table: TableColumns, shown: str) -> TableMotion:
 
 
 def _check_rotors(table: TableColumns, shown: str) -> FloatArray | None:
-    """Return the speeds of the rotors (N, 4) [rad/s], or None; raise ConfigError at the first below 0."""
+    """Return the speeds of the rotors (N, 4) [rad/s], or None; raise ConfigError at the first bad one."""
     speeds = table.columns.get("rotors")
     for name, column in zip(table.names.get("rotors", ()), () if speeds is None else speeds.T, strict=True):
+        value = column / FACTORS[split_unit(name)[1]]
+        if (k := find_first(column > _FASTEST)) is not None:
+            raise ConfigError(f"{shown}: row {k + 1}: {name} = {value[k]:.9g} is above {_FASTEST:g} rad/s")
         if (k := find_first(column < 0.0)) is not None:
-            value = column[k] / FACTORS[split_unit(name)[1]]
             raise ConfigError(
-                f"{shown}: row {k + 1}: {name} = {value:.9g} is below 0: give the speed, without a sign"
+                f"{shown}: row {k + 1}: {name} = {value[k]:.9g} is below 0: give the speed, without a sign"
             )
     return speeds
 
 
 def has_rotor_speeds(path: Path) -> bool:
-    """Return whether a table has the columns of rotor speeds; True if it cannot be read: reading says why."""
+    """Return whether a table has columns of rotor speeds; reading says why it or one of them is missing."""
     if path.suffix.lower() in READERS or is_motion_definition(path):
         return False
     try:
-        return set(_SPINS[0]) <= {split_unit(name)[0] for name in list_columns(path)}
+        return not set(_SPINS[0]).isdisjoint(split_unit(name)[0] for name in list_columns(path))
     except ConfigError:
         return True
 

@@ -118,8 +118,8 @@ def check_leg(leg: Leg, start: LegStart) -> list[str]:
     craft = start.aircraft
     if craft.kind not in leg.flown_by:
         if craft.glides and FIXED_WING in leg.flown_by:
-            glider = f"the {craft.name} is a glider and sinks; it flies straight, turn, waypoints or thermal"
-            return [f"needs an engine, and {glider}"]
+            instead = "use a leg such as straight, turn, s-turns or thermal"
+            return [f"needs an engine, and the {craft.name} is a glider and sinks; {instead}"]
         own = {ROTORCRAFT: "a multirotor or a helicopter", (GLIDER,): "a glider"}.get(leg.flown_by)
         own = own or "an aircraft with wings"
         instead = "hover, goto, sprint or orbit" if craft.hovers else "straight, turn, waypoints or holding"

@@ -79,6 +79,11 @@ class Approach(Leg):
             to_go = self.aim - line.segments[0].relative(plane.position())[0]
             return runway.alt + figures.height + slope * to_go - cockpit.alt()
 
+        lowest, height = self._find_lowest(figures, slope), cockpit.alt() - runway.alt
+        if lowest > height:
+            raise FlightError(
+                f"the glide path ends {lowest:.0f} m above the runway, the aircraft is at {height:.0f} m"
+            )
         if before < 0 or abs(across) > _BASE:
             raise FlightError(
                 f"an approach begins before the runway, within {format_deg(_BASE)} of its heading; the "

@@ -37,7 +37,7 @@ class CircleThermal(AtSpeed):
         """Fly a tangent to the circle, follow it over ground, roll out."""
         places = cockpit.thermal_places
         if self.number > len(places):
-            raise FlightError(f"there are {len(places)} thermals; [wind.thermals] makes them")
+            raise FlightError(f"number = {self.number}: there are {len(places)} thermals")
         while not cockpit.speed_settled():
             yield
         plane = cockpit.plane_here()
