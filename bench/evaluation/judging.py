@@ -62,7 +62,7 @@ def measure_solution(
         return measure(known, solution, evaluation=evaluation, data=data, **facts)
     assert data is not None
     if known is None:
-        return measure_innovations(solution, evaluation.begin)
+        return measure_innovations(solution, evaluation.begin, without_fixes=data.fixes is None)
     if isinstance(known, GnssFixes):
         return measure_by_fixes(solution, known, data, evaluation)
     return measure_by_reference(solution, known, data, evaluation)

@@ -87,6 +87,8 @@ def test_an_estimate_that_used_every_fix_is_judged_by_its_innovations_alone():
         assert quiet["verdict"] == "not evaluated"
         assert says in quiet["verdict_text"]
     assert "contains no innovations of it" in add_verdict("autopilot", values)["verdict_text"]
+    without = add_verdict("ahrs", {**values, "without_fixes": True, **nis, "nis_mean_baro": 1.0})
+    assert "the log has no fixes and no reference to evaluate it; its innov" in without["verdict_text"]
 
 
 @pytest.mark.parametrize(

@@ -92,7 +92,7 @@ def test_a_filter_that_needs_fixes_is_refused_in_a_line(folder):
             '[alignment]\nkind = "course"\n',
             r"without \[gnss\]: kind 'level' or 'given' .*not 'course'",
         ),
-        ("place = [97.0, 11.0, 500.0]", "", r"place.*-90 to 90"),
+        ("place = [97.0, 11.0, 500.0]", "", r"place = \[97, 11, 500\] must be latitude, longitude"),
     ],
 )
 def test_what_is_missing_or_wrong_is_said(folder, place, tables, message):

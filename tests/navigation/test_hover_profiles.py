@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import bench
 from bench import pipeline
+from bench.core.mathematics import rotation
 from bench.core.records.rotor_speeds import ROTORS
 from bench.core.words.exceptions import ConfigError
 from bench.io.config import read_profile
@@ -14,6 +17,7 @@ from bench.navigation.error_state_filter.rough_heading import UNKNOWN_HEADING_SD
 from bench.views.plots.content import gather_content
 from bench.views.plots.tabs.flight_data import FLIGHT
 
+SD = np.deg2rad(14.0)  # of a heading with which one filter starts [rad]
 SHORT = {
     "leg": [
         {"kind": "hover", "duration_s": 20.0},
@@ -79,3 +83,26 @@ def test_a_runway_is_shown_to_wings_only():
     shown = {name: pipeline._describe_scene(read_profile(name))["runway"] for name in ("delivery", "circuit")}
     assert shown["delivery"] is None
     assert shown["circuit"] is not None
+
+
+def test_a_hover_in_gusts_turns_no_heading():
+    """The antenna stands while the IMU swings about it; its arm alone would turn the heading to the opposite.
+
+    Two sigma off at the start, gyro noise of a consumer unit: a heading that nothing observes stays within
+    four sigma, and its sigma grows.
+    """
+    hover = {"leg": [{"kind": "hover", "duration_s": 250.0}], "sensors.imu": "bmi088"}
+    given = {"start.heading_deg": 30.0, "alignment.kind": "given"}
+    profile = read_profile("inspection", {**SHORT, **hover, **given})
+    truth = bench.fly(profile)
+    for run, side in enumerate((-1.0, 1.0)):
+        sensed = bench.sense(profile, truth, run=run)
+        start = sensed.initial
+        cov = start.cov.copy()
+        cov[8, 8] = SD**2
+        turned = rotation.multiply(rotation.from_rotvec([0.0, 0.0, 2.0 * SD * side]), truth.q_nb[0])
+        solution = bench.run_filter("loose-full", sensed.data, replace(start, q_nb=turned, cov=cov))
+        error = rotation.multiply(solution.q_nb[-1], rotation.conjugate(truth.q_nb[-1]))
+        sd = np.sqrt(solution.cov[-1, 8, 8])
+        assert abs(rotation.to_rotvec(error)[2]) < 4.0 * sd
+        assert sd > 1.2 * SD

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from bench.core.mathematics import rotation
 from bench.navigation.error_state_filter import rough_heading
+from bench.navigation.error_state_filter.antenna_rows import antenna_kernel, steady_arm_kernel
 from tests.navigation.test_error_state import plain
 
 ROUGH, WIDE = 0.05, np.pi / 6.0
@@ -76,6 +78,23 @@ def test_a_lever_arm_tells_no_heading_that_may_be_any(vel_n, heading_sd, blind):
     wanted[:, 8] *= not blind
     plain(rough_heading.blind_kernel)(state, P, H)
     assert_allclose(H, wanted)
+
+
+def test_the_arm_of_a_velocity_keeps_the_heading_of_a_turn_about_the_vertical_alone():
+    """By the velocity of a swinging arm, from rotation vectors, at a pitched and rolled attitude."""
+    C = rotation.matrix(rotation.from_euler(0.3, -0.2, 1.1))
+    arm_b, w_b, nav = np.array([0.4, -0.3, -0.8]), np.array([0.5, -0.4, 0.7]), np.zeros(10)
+    nav[0] = 0.8
+    H, z = np.zeros((6, 15)), np.zeros(6)
+    plain(antenna_kernel)(nav, C, arm_b, w_b, nav[:3], nav[3:6], H, z)
+    before = H.copy()
+    plain(steady_arm_kernel)(C, w_b, H)
+    turn_n = np.array([0.0, 0.0, (C @ w_b)[2]])
+    wanted = np.cross(np.cross(turn_n, C @ arm_b), [0.0, 0.0, 1.0])  # -[v x] e_D
+    assert_allclose(H[3:5, 8], -wanted[:2], atol=1e-12)
+    before[3:5, 8] = H[3:5, 8]
+    assert_allclose(H, before)
+    assert np.abs(np.cross(C @ np.cross(w_b, arm_b), [0.0, 0.0, 1.0])[:2] + H[3:5, 8]).max() > 0.1
 
 
 def test_an_antenna_on_an_arm_is_anywhere_on_its_circle_where_the_heading_is_any():

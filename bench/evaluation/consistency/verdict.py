@@ -211,6 +211,8 @@ def _judge_by_innovations(label: str, values: Mapping[str, Any]) -> _Judgment:
     """Evaluate an estimate that has used every fix by its innovations, because no truth is available."""
     loud, quiet = _find_wrong_innovations(values)
     used = "it has used every fix, so no fix can evaluate it"
+    if values.get("without_fixes"):
+        used = "the log has no fixes and no reference to evaluate it"
     if loud:
         reason = _describe_innovations(loud, values)
         return _Judgment(

@@ -46,10 +46,14 @@ def measure_outages(
     return drifts
 
 
-def measure_innovations(solution: NavSolution, begin: float) -> tuple[ErrorSeries, dict[str, Any]]:
-    """Return the metrics of the innovations, with an empty error series."""
+def measure_innovations(
+    solution: NavSolution, begin: float, without_fixes: bool = False
+) -> tuple[ErrorSeries, dict[str, Any]]:
+    """Return the metrics of the innovations, with an empty error series; ``without_fixes``: it had none."""
     values: dict[str, Any] = {"converged": True, "reason": None, **describe_failure(solution)}
     values["used_every_fix"] = True
+    if without_fixes:
+        values["without_fixes"] = True
     for ending, first in (("", begin), ("_all", -np.inf)):
         for name, one in nis_by_sensor(solution.innovations, first).items():
             mean = mean_nis(one.nis, one.dof)

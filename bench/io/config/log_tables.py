@@ -25,8 +25,6 @@ from bench.simulation.signals.gps_time import leap_seconds
 
 _Angle = Annotated[float, between(-360, 360)]
 _Angles3 = Annotated[tuple[_Angle, _Angle, _Angle], ROWS]
-_Latitude = Annotated[float, between(-90, 90)]
-_Height = Annotated[float, between(-1000, 1e5)]
 _Arm = Annotated[float, between(-100, 100)]
 _Arm3 = Annotated[tuple[_Arm, _Arm, _Arm], ROWS]
 _Shift = Annotated[float, between(-10, 10)]
@@ -146,6 +144,12 @@ class ImuTable(FileTable, AxesTable):
 def _check_origin(value: tuple[float, ...]) -> tuple[float, ...]:
     if not is_origin(value):
         raise PydanticCustomError("message", "must be latitude, longitude [deg], height [m], heading [deg]")
+    return value
+
+
+def _check_place(value: tuple[float, ...]) -> tuple[float, ...]:
+    if len(value) != 3 or not is_origin(value):
+        raise PydanticCustomError("message", "must be latitude, longitude [deg], height [m]")
     return value
 
 
@@ -285,7 +289,7 @@ class _LogHead(Table):
     """Day of the recording, for the magnetic field; required with a magnetometer."""
     vehicle: Literal["multirotor", "fixed-wing", "car", "boat", "person"] | None = None
     """Kind of vehicle, by which a course gives its heading, or does not. Default: unknown."""
-    place: Annotated[tuple[_Latitude, _Angle, _Height], ROWS] | None = None
+    place: Annotated[tuple[float, ...], ROWS, AfterValidator(_check_place)] | None = None
     """Latitude, longitude [deg] and ellipsoidal height [m] of a log without [gnss]."""
     imu: ImuTable
     gnss: GnssTable | None = None

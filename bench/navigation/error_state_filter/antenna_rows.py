@@ -22,6 +22,7 @@ from bench.navigation.error_state_filter.corrections import (
 )
 from bench.navigation.error_state_filter.error_state import ACCEL, GYRO, PHI, POS, VEL
 from bench.navigation.error_state_filter.propagation import Site
+from bench.navigation.error_state_filter.rough_heading import stands_kernel, vague_kernel
 from bench.navigation.mechanization import matrix_kernel
 
 
@@ -84,6 +85,18 @@ def lever_kernel(C: FloatArray, w_ib_b: FloatArray, at: int, H: FloatArray) -> N
         H[3 + i, at + 2] = C[i, 0] * q - C[i, 1] * p
 
 
+@kernel
+def steady_arm_kernel(C: FloatArray, w_b: FloatArray, H: FloatArray) -> None:
+    """Leave in the heading column of velocities, in H (6, n), a turn w_b (3,) about the vertical alone.
+
+    In a hover the IMU swings about the antenna as much as the antenna about the IMU, and
+    `rough_heading.stand_kernel` turns none of the motion of the IMU: the tilting arm alone would find the
+    opposite heading.
+    """
+    turn = C[2, 0] * w_b[0] + C[2, 1] * w_b[1] + C[2, 2] * w_b[2]
+    H[3, PHI + 2], H[4, PHI + 2] = -turn * H[1, PHI + 2], turn * H[0, PHI + 2]
+
+
 @inner
 def antenna_rows_kernel(
     site: Site, antenna_b: FloatArray, lla: FloatArray, vel_n: FloatArray, H: FloatArray, z: FloatArray
@@ -102,6 +115,8 @@ def antenna_rows_kernel(
         for i in range(3):
             for j in range(3):
                 H[3 + i, PHI + j] = 0.0
+    elif vague_kernel(now.P) and stands_kernel(now.state, now.P):
+        steady_arm_kernel(work.C, work.last[0], H)
     motion_factors_kernel(work.motion, work.drives, work.known, work.factor)
     drive_rows_kernel(H[3:], work.drives, work.factor)
     if at >= 0:

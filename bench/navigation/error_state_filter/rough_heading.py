@@ -178,7 +178,7 @@ def swing_kernel(
     meridian, prime = radii_kernel(s)
     phi, arm, moved = work[0], work[1], work[2]
     for block in (0, 3):
-        arm[0], arm[1], arm[2] = H[block + 1, 8], -H[block, 8], H[block, 7]  # or its velocity
+        arm[0], arm[1], arm[2] = -H[block + 2, 7], H[block + 2, 6], H[block, 7]  # or its velocity
         _turn_kernel(before, after, arm, moved)
         x, y, z, d, e, f = arm[0], arm[1], arm[2], moved[0], moved[1], moved[2]
         more_n = y * phi[2] - z * phi[1] - d
