@@ -19,6 +19,8 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--no-audit", action="store_true", help="leave out the proof of causality")
     parser.add_argument("-o", "--out", type=Path, help="write the league to a JSON file")
     parser.add_argument("--page", action="store_true", help=f"write the tables to {PAGE.name}")
+    parser.add_argument("--show", type=Path, metavar="JSON", help="print the tables of a file; run nothing")
+    parser.add_argument("--sort", default="", metavar="COLUMN", help="sort by a column: part of its head")
     parser.add_argument("--verify", type=Path, metavar="JSON", help="repeat three random runs of a file")
     given = parser.parse_args(arguments)
     if given.verify:
@@ -26,8 +28,11 @@ def main(arguments: list[str] | None = None) -> int:
         print("\n".join(f"repeated {one}" for one in repeated))
         print("\n".join(found) or "equal to the bit")
         return 1 if found else 0
+    if given.show:
+        print(write_tables(json.loads(given.show.read_text(encoding="utf-8")), given.sort))
+        return 0
     league = make_league(given.only, given.seed, given.runs, not given.no_audit)
-    print(write_tables(league))
+    print(write_tables(league, given.sort))
     if given.out:
         given.out.write_text(json.dumps(league, indent=1) + "\n", encoding="utf-8")
     if given.page:

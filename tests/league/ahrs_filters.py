@@ -29,7 +29,7 @@ class Madgwick(_ByUpdates):
     def make(self):
         from ahrs.filters import Madgwick as Theirs
 
-        return Theirs(gain=Theirs().gain_marg)
+        return Theirs(gain=self.values.get("gain", Theirs().gain_marg))
 
 
 class Mahony(_ByUpdates):
@@ -43,7 +43,7 @@ class Mahony(_ByUpdates):
     def make(self):
         from ahrs.filters import Mahony as Theirs
 
-        return Theirs()
+        return Theirs(**self.values)
 
 
 class Aqua(_ByUpdates):
@@ -55,7 +55,7 @@ class Aqua(_ByUpdates):
     def make(self):
         from ahrs.filters import AQUA
 
-        return AQUA()
+        return AQUA(**self.values)
 
     def step(self, q, w, f, m, dt):
         return rotation.conjugate(super().step(rotation.conjugate(q), w, f, m, dt))
@@ -73,7 +73,8 @@ class AhrsEkf(AttitudeFilter):
     def begin(self, sensors, initial, q):
         from ahrs.filters import EKF
 
-        self.filter = EKF(frame="NED", magnetic_ref=reference_field(sensors, initial).tolist())
+        field = reference_field(sensors, initial).tolist()
+        self.filter = EKF(frame="NED", magnetic_ref=field, **self.values)
         return q
 
     def step(self, q, w, f, m, dt):

@@ -1,6 +1,7 @@
 """What the adapters of attitude filters share: samples in time order, frames of the filters, the solution."""
 
 from dataclasses import replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -63,6 +64,7 @@ class AttitudeFilter:
 
     frame = NWU  # of the filter; its body axes are those of bench
     magnetic = True  # its north is magnetic
+    values: ClassVar[dict[str, float]] = {}  # parameters that differ from the defaults of the authors
 
     def run(self, sensors, initial):
         turn = declination(sensors, initial) if self.magnetic else NED

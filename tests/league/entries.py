@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import PackageNotFoundError, version
 
 from bench.experiments.card.card_suite import Suite, SuiteFlight
-from bench.navigation.built_in import BUILT_IN
 
 
 @dataclass(frozen=True)
@@ -34,9 +33,15 @@ class Entry:
 _AHRS, _OTHER = "tests.league.ahrs_filters", "tests.league.other_attitude"
 _NORTH, _START = "declination", "initial attitude, declination"
 _OWN = "initial state, datasheet"
+_TUNED = "tests.league.tuned_filters"
+_ALSO_TUNED = (
+    ("Madgwick", "ahrs", _START), ("Mahony", "ahrs", _START), ("Aqua", "ahrs", _START),
+    ("AhrsEkf", "ahrs", "initial attitude, magnetic model"), ("Fusion", "imufusion", _START),
+    ("Vqf", "vqf", _NORTH),
+)  # fmt: skip
 
 ATTITUDE_FILTERS = (
-    *(Entry("ahrs", "", "initial state, datasheet, magnetic model") for _ in range("ahrs" in BUILT_IN)),
+    Entry("ahrs", "", "initial state, datasheet, magnetic model"),
     Entry("loose-full", "", "initial state, datasheet; GNSS and barometer, no magnetometer"),
     Entry(f"{_AHRS}:Madgwick", "ahrs", _START),
     Entry(f"{_AHRS}:Mahony", "ahrs", _START),
@@ -46,6 +51,7 @@ ATTITUDE_FILTERS = (
     Entry(f"{_OTHER}:Vqf", "vqf", _NORTH),
     Entry(f"{_OTHER}:BasicVqf", "vqf", _NORTH),
     Entry(f"{_OTHER}:OfflineVqf", "vqf", _NORTH, whole=True),
+    *(Entry(f"{_TUNED}:Tuned{name}", package, told) for name, package, told in _ALSO_TUNED),
 )
 POSITION_FILTERS = (
     Entry("loose-full", "", _OWN),
@@ -87,17 +93,33 @@ _QUADROTOR = SuiteFlight(
 _MATCHED = {"leg": _WEAVE, "sensors.imu": "matched-mems", "sensors.gnss": "matched-white"}
 _OUTAGE = {"leg": _WEAVE, "gnss_outage": [{"start_s": 70.0, "duration_s": 30.0}]}
 
-DRAWS = 3
+_MAGNETS = [
+    {"kind": "mag-step", "start_s": 42.0, "duration_s": 6.0, "step_ut": [15.0, -10.0, 5.0]},
+    {"kind": "magnet-passed", "start_s": 60.0, "duration_s": 8.0, "peak_ut": [0.0, 40.0, 10.0]},
+]
+_BAD_FIXES = [
+    {"kind": "spoofing", "start_s": 62.0, "duration_s": 5.0, "step_m": [30.0, -20.0, 5.0]},
+    {"kind": "noise-burst", "sensor": "gnss", "start_s": 80.0, "duration_s": 15.0, "times": 5.0},
+]
+
+DRAWS = 6
 """Runs of each flight."""
 
 ATTITUDE = Suite(
     "league-attitude", (), draws=DRAWS,
-    members=(_QUADROTOR, SuiteFlight("fixed-wing", "s-turns", {"leg": _WEAVE, "sensors.mag": "rm3100"})),
+    members=(
+        _QUADROTOR,
+        SuiteFlight("fixed-wing", "s-turns", {"leg": _WEAVE, "sensors.mag": "rm3100"}),
+        replace(
+            _QUADROTOR, name="magnets", values={**_QUADROTOR.values, "fault": _MAGNETS}, without="quadrotor"
+        ),
+    ),
 )  # fmt: skip
 POSITION = Suite(
     "league-position", (), draws=DRAWS,
     members=(
         SuiteFlight("matched", "s-turns", _MATCHED), SuiteFlight("outage", "s-turns", _OUTAGE),
+        SuiteFlight("bad fixes", "s-turns", {**_MATCHED, "fault": _BAD_FIXES}, without="matched"),
     ),
 )  # fmt: skip
 AUDIT = Suite(
@@ -106,9 +128,12 @@ AUDIT = Suite(
 )  # fmt: skip
 """The flight on which causality is proven: a filter is run up to ten times."""
 
+HELD = {"attitude": "heading", "position": "accuracy"}
+"""The error by which the robustness of each kind of filter is measured."""
+
 SUITES = {"attitude": (ATTITUDE, ATTITUDE_FILTERS), "position": (POSITION, POSITION_FILTERS)}
 
 
 def find_reference(kind: str) -> str:
     """Return the filter whose errors are 1: the reference of bench for that kind of filter."""
-    return "ahrs" if kind == "attitude" and "ahrs" in BUILT_IN else "loose-full"
+    return "ahrs" if kind == "attitude" else "loose-full"

@@ -20,11 +20,11 @@ from bench.experiments.campaigns.pools import ExecutorPool, SerialExecutor
 from bench.experiments.campaigns.running import run_campaign
 from bench.experiments.card.card_causality import judge_causality
 from bench.experiments.card.card_conventions import judge_conventions
-from bench.experiments.card.card_lines import judge_flight, measure_speed
+from bench.experiments.card.card_lines import compare_rms, judge_flight, measure_speed
 from bench.experiments.card.card_making import YARDSTICK
 from bench.experiments.card.card_suite import Suite, hash_suite
 from bench.io import results
-from tests.league.entries import AUDIT, SUITES, Entry, find_reference
+from tests.league.entries import AUDIT, HELD, SUITES, Entry, find_reference
 from tests.measured import stamp
 
 IN_PROCESS = Guard(in_process=True)
@@ -105,6 +105,7 @@ def _judge_suite(
         row["converged"] = sum(each["converged"] for rows in own for each in rows)
         row["answers"] = [[each.get("answers") for each in rows] for rows in own]
         row["scores"] = _score(suite, flown, own, one.label, reference)
+        row["robustness"] = _compare_faults(suite, row["scores"], HELD[kind])
         speed = measure_speed(cpu.get(one.label, ()), cpu[YARDSTICK], YARDSTICK)
         row["speed"] = [speed.value, speed.low, speed.high] if speed else None
         row["conventions"] = (
@@ -162,6 +163,16 @@ def _score(
                     "sentence": line.sentence, "parts": line.parts, "by_run": list(line.by_draw),
                 }  # fmt: skip
     return scores
+
+
+def _compare_faults(suite: Suite, scores: dict[str, Any], topic: str) -> list[float] | None:
+    """Return the error with faults over the filter's own without them, same runs, and its interval."""
+    for flight in suite.members:
+        errors = [scores.get(name, {}).get(topic) for name in (flight.name, flight.without)]
+        if flight.without and all(errors):
+            ratio = compare_rms(*(one["by_run"] for one in errors))
+            return None if ratio is None else [ratio.value, ratio.low, ratio.high]
+    return None
 
 
 def _select(suite: Suite, flown: Sequence[Any], number: int, label: str) -> list[Any]:

@@ -24,8 +24,16 @@ def write_page(league: dict[str, Any]) -> None:
     PAGE.write_text(before + _BEGIN + write_tables(league) + _END + rest.partition(_END)[2], encoding="utf-8")
 
 
-def write_tables(league: dict[str, Any]) -> str:
-    """Return the tables of the league in Markdown: the filters in the order of the entries."""
+def write_tables(league: dict[str, Any], sort: str = "") -> str:
+    """Return the tables of the league in Markdown, in the order of the entries or sorted by a column.
+
+    ``sort`` is a part of the head of a column; a table without it keeps its order.
+    """
+
+    def draw(heads: list[str], body: list[list[str]]) -> str:
+        at = next((k for k, head in enumerate(heads) if sort and sort in head), None)
+        return _draw(heads, body if at is None else sorted(body, key=lambda cells: _first_number(cells[at])))
+
     parts = []
     for kind, flights in league["flights"].items():
         rows = [row for row in league["rows"] if row["kind"] == kind]
@@ -35,20 +43,20 @@ def write_tables(league: dict[str, Any]) -> str:
         for flight in flights:
             heads = [f"{flight}: {_HEADS[topic]}" for topic in _COLUMNS[kind]]
             body = [[_name(row), *_write_ratios(row, flight, _COLUMNS[kind])] for row in rows]
-            parts.append(_draw(["filter", *heads], body))
+            parts.append(draw(["filter", *heads], body))
         if kind == "position":
             body = [
                 [_name(row), *(_write_consistency(row, flight) for flight in flights), _write_drift(row)]
                 for row in rows
             ]
             heads = [*(f"{flight}: NEES / ideal" for flight in flights), "outage drift"]
-            parts.append("Consistency, and drift in the outage:\n\n" + _draw(["filter", *heads], body))
+            parts.append("Consistency, and drift in the outage:\n\n" + draw(["filter", *heads], body))
         body = [
             [_name(row), f"{row['package']} {row['version']}", row["told"], _write_end(row)] for row in rows
         ]
-        parts.append(_draw(["filter", "package", "also gets", "converged"], body))
+        parts.append(draw(["filter", "package", "also gets", "converged"], body))
         body = [_write_facts(row) for row in rows]
-        parts.append(_draw(["filter", "uses the future", "conventions", "CPU"], body))
+        parts.append(draw(["filter", "uses the future", "conventions", "with faults", "CPU"], body))
     minutes = league["cpu_s"] / 60.0
     seed = "the seed of the suite" if league["seed"] is None else f"seed {league['seed']}"
     hashes = ", ".join(f"{kind} {one}" for kind, one in league["suites"].items())
@@ -61,7 +69,13 @@ def write_tables(league: dict[str, Any]) -> str:
 
 def _write_facts(row: dict[str, Any]) -> list[str]:
     ahead = row.get("causality", "not audited").partition(";")[0]
-    return [_name(row), ahead, row.get("conventions", "-"), _write_interval(row.get("speed"))]
+    held = _write_interval(row.get("robustness"))
+    return [_name(row), ahead, row.get("conventions", "-"), held, _write_interval(row.get("speed"))]
+
+
+def _first_number(cell: str) -> float:
+    found = re.search(r"-?\d[\d.]*(e[+-]?\d+)?", cell)
+    return float(found[0]) if found else np.inf
 
 
 def _name(row: dict[str, Any]) -> str:

@@ -28,7 +28,7 @@ class Vqf(AttitudeFilter):
         step = float(np.median(sensors.imu.dt))
         mag_step = step if sensors.mag is None else float(np.median(np.diff(sensors.mag.t)))
         self.with_mag = sensors.mag is not None
-        self.filter = getattr(vqf, self.name)(step, magTs=mag_step)
+        self.filter = getattr(vqf, self.name)(step, magTs=mag_step, **self.values)
         return q
 
     def step(self, q, w, f, m, dt):
@@ -79,7 +79,9 @@ class Fusion(AttitudeFilter):
         rate = 1.0 / float(np.median(sensors.imu.dt))
         self.filter, self.bias = imufusion.Ahrs(), imufusion.Bias()
         self.filter.set_settings(
-            imufusion.AhrsSettings(rate, imufusion.CONVENTION_NWU, 0.5, 2000.0, 10.0, 10.0, 5.0)
+            imufusion.AhrsSettings(
+                rate, imufusion.CONVENTION_NWU, self.values.get("gain", 0.5), 2000.0, 10.0, 10.0, 5.0
+            )
         )
         self.bias.set_settings(imufusion.BiasSettings(rate))
         self.filter.skip_startup()

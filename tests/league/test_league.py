@@ -162,6 +162,25 @@ def test_a_league_has_a_row_for_each_filter_and_the_reason_of_a_failed_row(small
     assert tables.index("`loose-full`") < tables.index("`loose-15`") < tables.index("`Missing`")
 
 
+def test_a_table_is_sorted_by_the_first_number_of_a_column_and_what_has_none_is_last(small):
+    made, _ = small
+    slow = copy.deepcopy(made)
+    slow["rows"][0]["speed"] = [900.0, 800.0, 1000.0]
+    rows = league_page.write_tables(slow, "CPU").partition("uses the future")[2].splitlines()[2:5]
+    assert [row.split("`")[1] for row in rows] == ["loose-15", "loose-full", "Missing"]
+
+
+def test_robustness_is_the_error_with_faults_over_the_own_error_without():
+    suite = Suite(
+        "x", (), members=(SuiteFlight("calm", "s-turns"), SuiteFlight("bad", "s-turns", {}, "calm"))
+    )
+    scores = {"calm": {"accuracy": {"by_run": [1.0, 2.0]}}, "bad": {"accuracy": {"by_run": [3.0, 6.0]}}}
+    assert league._compare_faults(suite, scores, "accuracy") == pytest.approx([3.0, 3.0, 3.0])
+    scores["bad"]["accuracy"]["by_run"] = [3.0, None]
+    assert league._compare_faults(suite, scores, "accuracy") is None
+    assert league._compare_faults(suite, {"calm": scores["calm"]}, "accuracy") is None
+
+
 def test_the_runs_of_a_league_repeat_to_the_bit_and_a_changed_one_is_found(small):
     made, _ = small
     repeated, found = league.verify_league(made)
@@ -188,6 +207,6 @@ def test_the_page_has_a_row_for_each_filter():
     )
     assert league_page.write_tables(measured) in text
     for one in (*ATTITUDE_FILTERS, *POSITION_FILTERS):
-        assert f"| `{one.label}`" in text or one.label == "ahrs", one.label  # measured before it was there
+        assert f"| `{one.label}`" in text, one.label
     for kind, reference in measured["references"].items():
         assert any(row["filter"] == reference and row["kind"] == kind for row in measured["rows"])

@@ -9,6 +9,7 @@ import bench
 from bench.cli.command_line import main
 from bench.core.mathematics import rotation
 from bench.core.words.exceptions import ConfigError, EstimatorError
+from bench.io.results.result_folder import load_solution
 from bench.simulation import sensors
 from tests.builders import at_rest
 from tests.navigation.test_ahrs import COMPASS, LLA, on_board
@@ -117,3 +118,21 @@ def test_nothing_can_be_lost_or_withheld_without_a_receiver(folder, capsys):
     held = log(folder, "held", "[evaluation]\nwithhold = 5\n")
     with pytest.raises(ConfigError, match=r"withhold has no effect without \[gnss\]"):
         bench.read_log(held)
+
+
+def test_a_table_of_an_imu_alone_is_navigated(folder, tmp_path, capsys):
+    """Its place is unknown: a line of the log asks for it. A table beside it named like fixes is an error."""
+    (tmp_path / "imu.csv").write_text((folder / "imu.csv").read_text())
+    (tmp_path / "fixes_gnss.csv").write_text("a,b\n1,2\n")
+    assert main(["navigate", str(tmp_path / "imu.csv"), "-o", str(tmp_path / "out")]) == 2
+    assert "no columns found for gnss" in capsys.readouterr().err
+    (tmp_path / "fixes_gnss.csv").unlink()
+    assert main(["navigate", str(tmp_path / "imu.csv"), "-o", str(tmp_path / "out"), "--no-report"]) == 0
+    said = capsys.readouterr().out
+    assert "No columns of a receiver: attitude alone." in said
+    assert "ahrs" in said
+    assert "place = [45.0, 0.0, 0.0]  # where was it?" in (tmp_path / "imu.toml").read_text()
+    solution = load_solution(tmp_path / "out", "ahrs")
+    roll, pitch, _ = np.rad2deg(rotation.to_euler(solution.q_nb[-1]))
+    assert abs(roll - 3.0) < 0.5
+    assert abs(pitch + 5.0) < 0.5

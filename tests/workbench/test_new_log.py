@@ -249,6 +249,7 @@ def test_what_cannot_be_found_is_said_and_nothing_is_written(tmp_path, capsys, m
     assert main(["new", "log", str(tmp_path / "odd.csv")]) == 2
     assert "no columns found for imu" in capsys.readouterr().err
     drives.write_csv(tmp_path / "imu.csv", drives.imu_columns(drives.sensed()["imu"]))
+    drives.write_csv(tmp_path / "track.csv", {"east": np.arange(9.0), "position": np.arange(9.0)})
     assert main(["new", "log", str(tmp_path / "imu.csv")]) == 2
     assert "for gnss, there or in a table beside it" in capsys.readouterr().err
     assert main(["new", "log", str(tmp_path)]) == 2

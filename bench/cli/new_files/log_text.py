@@ -64,6 +64,8 @@ def write_log(
 ) -> str:
     """Return the log above [alignment]; a comment asks for each value that the files do not contain."""
     lines = [f"title = {quote_toml(title)}"]
+    if "gnss" not in found:
+        lines.append("place = [45.0, 0.0, 0.0]  # where was it? latitude, longitude [deg], height [m]")
     asked = {
         "imu": [
             "# roll, pitch, yaw of its axes against forward, right, down?  mounting_deg = [0.0, 0.0, 0.0]",

@@ -98,7 +98,7 @@ def new_log(name: str, *, console: Console, rates: str | None = None) -> None:
         found = find_texts(path)
     else:
         found = find_sensors(path)
-    antenna = read_antenna(found["gnss"])
+    antenna = read_antenna(found["gnss"]) if "gnss" in found else None
     clocks: dict[str, str] = {}
     made: list[Path] = []
     try:
@@ -133,6 +133,8 @@ def new_log(name: str, *, console: Console, rates: str | None = None) -> None:
         for line in [one.told, clocks.get(kind, ""), *axes]:
             if line:
                 console.print(f"  {line}", soft_wrap=True, markup=False)
+    if "gnss" not in found:
+        console.print("No columns of a receiver: attitude alone.", soft_wrap=True)
     console.print(f"Wrote {log}. Lines with a question are for you.")
     console.print(f"Next: bench navigate {log}")
 
@@ -280,7 +282,10 @@ def _choose_start(log: Path, text: str, records: LogRecords) -> str:
         )
     else:
         rest = min(max(_SHARE * last, _ALIGNS), 60.0)
-        lines = f'kind = "level"  # it does not move fast enough for a course\nduration_s = {rest:.1f}\n'
+        why = (
+            "it does not move fast enough for a course" if len(records.fixes) else "is it at rest until then?"
+        )
+        lines = f'kind = "level"  # {why}\nduration_s = {rest:.1f}\n'
         begin = rest + 3.0
     if last <= 60.0 / (1.0 - _SHARE):  # the default of from_s is late in it, or after it
         lines += f"\n[evaluation]\nfrom_s = {begin:.1f}\n"

@@ -161,10 +161,11 @@ def _read_rows(source: SourceSpec, kind: str) -> LogRows:
     else:
         reject_placing(shown, frame=source.frame, origin=source.origin)
         rows = formats.read(form, source.path, kind, topic)
+    count = len(rows.t)
     rows = drop_timeless(rows, kind, shown)
     bad = ~np.isfinite(rows.t)
     if bad.all():
-        raise ConfigError(f"{shown}: no rows")
+        raise ConfigError(f"{shown}: {'no row has a time; record or export it too' if count else 'no rows'}")
     if (k := find_first(bad)) is not None:
         raise ConfigError(f"{shown}: row {k + 1}: its time is not a finite number")
     rows = unwrap_week(rows, shown)

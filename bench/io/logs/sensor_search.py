@@ -29,6 +29,9 @@ TEXTS = (TEXT, ".tsv")
 _GRAVITY = {"g": 1.0, "m_s2": STANDARD_GRAVITY, "mg": 1000.0}
 NEAR, _SAME_WAY = 0.25, 0.5  # how near gravity the median is, and how much of it stays along an axis [1]
 IMU_STEP, _OTHER_STEP = 0.5, 2.0  # longest step of the times of an IMU, of another sensor [s]
+_SAYS_PLACE = re.compile(
+    r"(.*[^a-z])?(gps|gnss|fix|lat|lon|lng|latitude|longitude|alt|pos|position|vel|velocity)([^a-z].*)?"
+)
 _COUNTS = ("satellites", "hdop", "vdop")  # columns without a unit
 
 
@@ -193,10 +196,12 @@ class FoundSensor(NamedTuple):
 def find_tables(path: Path) -> dict[str, FoundSensor]:
     """Return the table of each sensor: the file itself if it has the columns, else one beside it.
 
+    Without a receiver, where no column of the IMU's table looks like one, there is no "gnss".
+
     Raises
     ------
     ConfigError
-        If there is no IMU in the file, no receiver in any, or a unit cannot be told.
+        If there is no IMU in the file, columns of a receiver in any are not usable, or a unit cannot be told.
     """
     endings = (*TABLES, *TEXTS) if path.suffix.lower() in TEXTS else TABLES
     beside = _list_beside(path, endings)
@@ -236,7 +241,10 @@ def find_beside(imu: FoundSensor | None, path: Path, beside: Sequence[Path]) -> 
     alone = [place for one in FORMATS.values() if one.fixes for place in _list_beside(path, one.endings)]
     if "imu" in found and "gnss" not in found and alone:
         found["gnss"] = FoundSensor(alone[0], {}, ())
-    if missing := [kind for kind in ("imu", "gnss") if kind not in found]:
+    missing = [kind for kind in ("imu", "gnss") if kind not in found]
+    if missing == ["gnss"] and not wrong and _have_no_place((path, *beside)):
+        return found
+    if missing:
         if path.suffix.lower() != ".mat" and (message := describe_unreadable(path)):
             raise ConfigError(message)
         names = list_columns(path)
@@ -259,12 +267,19 @@ def find_beside(imu: FoundSensor | None, path: Path, beside: Sequence[Path]) -> 
     return found
 
 
+def _have_no_place(tables: Sequence[Path]) -> bool:
+    """Return whether no table is named like one of a receiver, or has a column that is."""
+    if any(path.suffix.lower() == ".mat" for path in tables):
+        return False
+    names = [name for path in tables for name in (path.stem, *list_columns(path))]
+    return not any(_SAYS_PLACE.fullmatch(name.lower()) for name in names)
+
+
 def _list_ways(missing: str, found: Mapping[str, FoundSensor]) -> str:
     """Return what to do about columns of a sensor that are not found."""
     if missing == "imu" and "gnss" in found:
         return "put it beside a table of the IMU, then: bench new log IMU.csv"
-    alone = "for attitude alone write a log with a place; else "
-    beside = f"{alone}put a table of the fixes beside it, or " if missing == "gnss" else ""
+    beside = "put a table of the fixes beside it, or " if missing == "gnss" else ""
     return f"{beside}name them in a log of your own: bench guide log-format"
 
 
