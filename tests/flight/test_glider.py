@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import re
 from dataclasses import replace
 from math import hypot, pi, radians, sin, sqrt, tan
 from pathlib import Path
@@ -31,6 +32,7 @@ from bench.simulation.signals import air
 AIRCRAFT = Path(__file__).parents[2] / "aircraft"
 KMH, KT = 1 / 3.6, 1852 / 3600
 SOARING = read_profile("thermal-soaring").flight
+GROUND = {"lat_deg": 47.26, "lon_deg": 11.34, "alt_m": 600.0, "heading_deg": 60.0, "on_ground": True}
 DESERT = ThermalsSpec(w_star=2.56, depth=1401.0)
 
 
@@ -122,7 +124,10 @@ def test_energy_is_lost_to_drag_alone(calm):
             {"leg.1": {"kind": "hover", "duration_s": 9.0}},
             "is flown by a multirotor or a helicopter, and the sgs is none",
         ),
-        ({"start.on_ground": True}, "the sgs is a glider; start it in the air, as a tow ends"),
+        (
+            {"start": GROUND},
+            "[[leg]] 1 (straight): is flown in the air; a winch must come before it",
+        ),
         (
             {"terrain": {"file": "valley.asc"}},
             "[wind.thermals] stand on flat ground; leave [terrain] file out",
@@ -170,7 +175,8 @@ def test_a_glider_of_the_jsbsim_wheel_flies_if_its_file_says_that_it_is_one(tmp_
     """
     (tmp_path / "aircraft/jsbsim").mkdir(parents=True)
     (tmp_path / "plan.toml").write_text(PLAN)
-    own = (AIRCRAFT / "sgs/aircraft.toml").read_text()
+    stands = (AIRCRAFT / "sgs/aircraft.toml").read_text()
+    own = re.sub(r"\[stand\][^[]*", "", stands).replace('"stand", ', "")
     sheet = tmp_path / "aircraft/jsbsim/SGS.toml"
     sheet.write_text(own)
     truth = fly(read_profile(tmp_path / "plan.toml").flight)
@@ -181,9 +187,14 @@ def test_a_glider_of_the_jsbsim_wheel_flies_if_its_file_says_that_it_is_one(tmp_
     sheet.write_text(own.replace('kind  = "glider"', ""))
     with pytest.raises(FlightError, match=r"no engine to hold a speed with; is it of kind = 'glider'\?"):
         fly(read_profile(tmp_path / "plan.toml").flight)
-    sheet.write_text(own + "\n[stand]\nheight_m = 1.0\n")
-    with pytest.raises(ConfigError, match=r"\[stand\] is not used with kind = 'glider'"):
-        read_profile(tmp_path / "plan.toml")
+    sheet.write_text(stands)
+    (tmp_path / "plan.toml").write_text(
+        PLAN.replace("speed_mps = 24.0", "on_ground = true", 1).replace(
+            "[[leg]]", "[[leg]]\nkind = 'winch'\n[[leg]]", 1
+        )
+    )
+    with pytest.raises(FlightError, match=r'SGS: nothing holds its wings .* needs <system file="winch"/>'):
+        fly(read_profile(tmp_path / "plan.toml").flight)
 
 
 def test_a_thermal_leg_is_of_a_glider_and_needs_its_thermal():

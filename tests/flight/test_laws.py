@@ -26,6 +26,7 @@ from bench.simulation.flight.legs.landing import Approach, Flare, LandingRoll
 from bench.simulation.flight.legs.level import Straight
 from bench.simulation.flight.legs.runway import Static, TakeOff
 from bench.simulation.flight.legs.surfaces import AileronRoll, Doublet, WindUpTurn
+from bench.simulation.flight.legs.winch import Winch
 from tests.flight.pilot import find_excess, look_at
 from tests.flight.plans import record_whole, truth_of
 from tests.flight.test_recorder import same_form_error, two_sample_error
@@ -72,7 +73,7 @@ ALIKE = {
 }
 """Profiles of legs, air and aircraft that others here have, too: `make long` flies them."""
 
-ROUGH = AileronRoll | Approach | Doublet | Flare | LandingRoll | TakeOff | WindUpTurn
+ROUGH = AileronRoll | Approach | Doublet | Flare | LandingRoll | TakeOff | WindUpTurn | Winch
 MM, UM = 1e-3, 1e-6  # [m], and [rad] for microradians
 
 

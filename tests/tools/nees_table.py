@@ -49,6 +49,7 @@ LEFT_OUT = {
     "terrain-following",
     "thermal-soaring",
     "touch-and-go",
+    "winch-launch",
 }
 """Profiles that are there for their truth, and have the sensors and filters of others."""
 PARTLY = {"delivery", "hover-and-sprint", "survey-multirotor"}

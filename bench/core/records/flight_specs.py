@@ -102,7 +102,7 @@ class AircraftSpec:
     runway: RunwaySpec | None = None  # None: it starts and ends in the air
     configuration: tuple[str, ...] = ()  # parts that a leg may set: "flaps", "gear"
     kind: str = FIXED_WING  # or one of the others: its guidance system, trim and legs
-    stand_height: float | None = None  # of what hovers on its legs [m]
+    stand_height: float | None = None  # of what hovers on its legs, of a glider on its wheel [m]
     envelope: EnvelopeSpec = EnvelopeSpec()
 
     @property

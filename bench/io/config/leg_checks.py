@@ -146,10 +146,6 @@ def _check_start(table: ProfileTable, aircraft: AircraftSpec) -> list[str]:
         return [f"[{place}] roughness_cm3 is not used by a multirotor, which does not roll; leave it out"]
     if aircraft.hovers and table.alignment.kind == "course":
         return [f"[alignment] kind = 'course': the course of a {aircraft.kind} gives no heading; use 'hover'"]
-    if start.on_ground and aircraft.glides:
-        return [
-            f"[start] on_ground = true: the {aircraft.name} is a glider; start it in the air, as a tow ends"
-        ]
     if start.on_ground:
         wrong = []
         if start.speed_mps is not None:
@@ -158,7 +154,7 @@ def _check_start(table: ProfileTable, aircraft: AircraftSpec) -> list[str]:
             )
         wrong += _check_stand(table)
         if aircraft.rest_height is None:
-            table_of = "stand" if aircraft.hovers else "runway"
+            table_of = "stand" if aircraft.hovers or aircraft.glides else "runway"
             wrong.append(
                 f"[start] on_ground = true: the {aircraft.name} has no [{table_of}] in its aircraft.toml"
             )
@@ -193,6 +189,8 @@ def choose_first_speed(table: ProfileTable, aircraft: AircraftSpec) -> float:
         return float(table.start.speed_mps)
     if aircraft.hovers:
         return 0.0
+    if aircraft.glides and aircraft.trims:
+        return min(aircraft.trims, key=lambda trim: abs(trim[0] - table.start.alt_m))[1]
     climbs = (leg.speed for leg in build_legs(table) if isinstance(leg, TakeOff))
     return float(next(climbs, None) or 0.5 * (aircraft.min_speed + aircraft.max_speed))
 

@@ -10,6 +10,7 @@ from pydantic import Field
 
 from bench.core.files.installed import find_folders
 from bench.core.records.flight_specs import (
+    FIXED_WING,
     GLIDER,
     HEIGHTS,
     SPEEDS,
@@ -63,7 +64,7 @@ class _TrimPoint(Table):
 
 
 class _Stand(Table):
-    """How a multirotor or helicopter rests on its legs."""
+    """How what has no [runway] rests: a multirotor or helicopter on its legs, a glider on its wheel."""
 
     height_m: Annotated[float, between(*HEIGHTS)]
     """Height of the center of gravity above the ground at rest."""
@@ -242,9 +243,9 @@ def _make_aircraft(
         raise ConfigError(f"{shown}: [limits] {what} is below {SPEEDS[0]} m/s; 0 is for what hovers")
     gains = ("rough_air", "rough_flare", "approach")
     not_used: tuple[str, ...] = () if wings else ("trim", "runway", "configuration", "envelope", *gains)
-    if table.kind == GLIDER:
+    if kind == GLIDER:
         not_used = ("runway", "configuration", "rough_flare", "approach")
-    for name in (*not_used, *(["stand"] if wings else [])):
+    for name in (*not_used, *(["stand"] if kind == FIXED_WING else [])):
         if name in table.model_fields_set:
             raise ConfigError(f"{shown}: [{name}] is not used with kind = {table.kind!r}")
     if not wings and limits.min_speed_mps:

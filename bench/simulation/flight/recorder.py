@@ -233,11 +233,12 @@ def prepare(
     )
     if spec.aircraft.hovers:
         return fdm, prepare_hover(fdm, spec, condition, say)
+    glides = spec.aircraft.glides
     if spec.on_ground:  # trimmed for the climb to come
-        trimmed = trim_aircraft(fdm, replace(condition, alt=spec.alt + _CLEAR), guided=guided, say=say)
-        stand(fdm, condition, guided=guided, say=say)
+        above = replace(condition, alt=spec.alt + _CLEAR)
+        trimmed = trim_aircraft(fdm, above, guided=guided, glides=glides, say=say)
+        stand(fdm, condition, guided=guided, held=glides, say=say)
     else:
-        glides = spec.aircraft.glides
         trimmed = trim_aircraft(fdm, condition, guided=guided, glides=glides, say=say)
         say("settling")
         settle(fdm)

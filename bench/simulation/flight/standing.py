@@ -28,15 +28,18 @@ _PATIENCE = 100  # such periods: at some headings the wheels creep until frictio
 _AT_REST = 1e-5  # fastest motion of what is at rest [m/s]
 
 
-def stand(fdm: Any, condition: TrimCondition, *, guided: bool = True, say: Say = keep_quiet) -> None:
+def stand(
+    fdm: Any, condition: TrimCondition, *, guided: bool = True, held: bool = False, say: Say = keep_quiet
+) -> None:
     """Put the aircraft on the ground at rest, engines idling, with position, heading and wind of a condition.
 
-    Engines of a model that was not made for the bench have a state and are set running.
+    Engines of a model that was not made for the bench have a state and are set running. The wings of a glider
+    are ``held`` level by its wing runner.
 
     Raises
     ------
     FlightError
-        When it does not come to rest.
+        When it does not come to rest, or is held and has no wing runner.
     """
     set_down(fdm, condition)
     for surface in SURFACES:
@@ -45,9 +48,19 @@ def stand(fdm: Any, condition: TrimCondition, *, guided: bool = True, say: Say =
     fdm["guidance/throttle-cmd-norm"] = 0.0
     for side in ("left", "right"):
         fdm[f"fcs/{side}-brake-cmd-norm"] = 1.0
+    if held:
+        _hold_wings(fdm)
     if not guided:
         start_engines(fdm)  # and come to their idle while it settles
     come_to_rest(fdm, say)
+
+
+def _hold_wings(fdm: Any) -> None:
+    runner = fdm.get_property_manager().get_node("winch/runner-norm")
+    if runner is None:
+        need = 'its model needs <system file="winch"/> and the forces of a hook, as sgs.xml has them'
+        raise FlightError(f"aircraft {fdm.get_model_name()}: nothing holds its wings on the ground; {need}")
+    runner.set_double_value(1.0)
 
 
 def set_down(fdm: Any, condition: TrimCondition) -> None:

@@ -118,7 +118,7 @@ def check_leg(leg: Leg, start: LegStart) -> list[str]:
     craft = start.aircraft
     if craft.kind not in leg.flown_by:
         if craft.glides and FIXED_WING in leg.flown_by:
-            instead = "use a leg such as straight, turn, s-turns or thermal"
+            instead = "use a leg such as winch, straight, turn or thermal"
             return [f"needs an engine, and the {craft.name} is a glider and sinks; {instead}"]
         own = {ROTORCRAFT: "a multirotor or a helicopter", (GLIDER,): "a glider"}.get(leg.flown_by)
         own = own or "an aircraft with wings"
@@ -128,7 +128,7 @@ def check_leg(leg: Leg, start: LegStart) -> list[str]:
         return [
             f"{write_key(leg, 'speed')} is an airspeed, which the {craft.name} does not hold; leave it out"
         ]
-    return [*_check_limits(leg, start.aircraft), *_check_begin(leg, start.after), *leg.check(start)]
+    return [*_check_limits(leg, start.aircraft), *_check_begin(leg, start), *leg.check(start)]
 
 
 def _check_limits(leg: Leg, aircraft: AircraftSpec) -> list[str]:
@@ -146,7 +146,8 @@ def _check_limits(leg: Leg, aircraft: AircraftSpec) -> list[str]:
     return found
 
 
-def _check_begin(leg: Leg, after: str) -> list[str]:
+def _check_begin(leg: Leg, start: LegStart) -> list[str]:
+    after = start.after
     if leg.needs == after:
         return []
     if leg.needs == "ground":
@@ -156,7 +157,7 @@ def _check_begin(leg: Leg, after: str) -> list[str]:
         return [f"must follow {'an' if leg.needs[0] in 'aeiou' else 'a'} {leg.needs}"]
     if after == "approach":
         return ["must be a flare, after an approach"]
-    return ["is flown in the air; a take-off must come before it"]
+    return [f"is flown in the air; a {'winch' if start.aircraft.glides else 'take-off'} must come before it"]
 
 
 Seconds = Annotated[float, Key("duration_s", "how long", *SECONDS)]

@@ -9,6 +9,7 @@ from typing import Annotated, ClassVar
 from bench.core.records.flight_specs import (
     FIXED_WING,
     ROTORCRAFT,
+    WINGS,
     AircraftSpec,
     Leg,
     LegStart,
@@ -41,7 +42,7 @@ class Static(Leg):
     """Stand on the ground with brakes set."""
 
     kind = "static"
-    flown_by = (FIXED_WING, *ROTORCRAFT)
+    flown_by = (*WINGS, *ROTORCRAFT)
     needs = leaves = "ground"
     duration: Seconds
 
