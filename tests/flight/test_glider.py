@@ -176,7 +176,7 @@ def test_a_glider_of_the_jsbsim_wheel_flies_if_its_file_says_that_it_is_one(tmp_
     (tmp_path / "aircraft/jsbsim").mkdir(parents=True)
     (tmp_path / "plan.toml").write_text(PLAN)
     stands = (AIRCRAFT / "sgs/aircraft.toml").read_text()
-    own = re.sub(r"\[stand\][^[]*", "", stands).replace('"stand", ', "")
+    own = re.sub(r"\[stand\].*\nheight_m.*\n", "", stands).replace('"stand", ', "")
     sheet = tmp_path / "aircraft/jsbsim/SGS.toml"
     sheet.write_text(own)
     truth = fly(read_profile(tmp_path / "plan.toml").flight)
