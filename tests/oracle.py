@@ -21,7 +21,7 @@ import numpy as np
 
 from bench import pipeline
 from bench.core.mathematics import earth, rotation
-from bench.core.records.flight_specs import AircraftSpec
+from bench.core.records.flight_specs import FlightSpec
 from bench.io.config import list_profiles, read_profile
 from bench.navigation.models.classic import Classic22
 from bench.navigation.models.loose_tight import Loose
@@ -37,21 +37,23 @@ OTHERWISE = {
     "wind.turbulence": "none",
     "alignment.kind": "given",
 }
-"""How a multirotor is compared: the errors of its own units and of an outage are too large for two
-linearizations, and a touch-down in gusts is beyond the range of the IMU."""
+"""How a multirotor and a glider that starts at rest are compared: the errors of their own units and of an
+outage are too large for two linearizations, and a touch-down in gusts is beyond the range of the IMU."""
 PAGE = Path(__file__).parents[1] / "bench" / "guide" / "accuracy.md"
 BEGIN, END = "<!-- make oracle writes this table -->", "<!-- to here -->"
 
 
-def is_multirotor(name: str) -> bool:
-    """Return whether a profile flies one."""
-    aircraft = getattr(read_profile(name).flight, "aircraft", None)
-    return isinstance(aircraft, AircraftSpec) and aircraft.hovers
+def flies_otherwise(name: str) -> bool:
+    """Return whether a profile flies a multirotor, or a glider from the ground."""
+    flight = read_profile(name).flight
+    if not isinstance(flight, FlightSpec):
+        return False
+    return flight.aircraft.hovers or (flight.aircraft.glides and flight.on_ground)
 
 
 def differences(name: str) -> tuple[float, dict[str, float]]:
     """Return the length of a profile's flight [s] and the RMS differences of both filters on it."""
-    profile = read_profile(name, OTHERWISE if is_multirotor(name) else None)
+    profile = read_profile(name, OTHERWISE if flies_otherwise(name) else None)
     truth = pipeline.fly(profile)
     sensed = pipeline.sense(profile, truth)
     mine = Classic22().run(sensed.data, sensed.initial)

@@ -114,7 +114,8 @@ MISTAKES: dict[str, tuple[Callable[[Recorded], Recorded], tuple[str, ...]]] = {
 
 _FORWARD, _YAWED = "antenna 2 m forward", "accelerometers turned by 10 deg about z"
 
-_TURNED = ("IMU turned by 180 deg about x", "IMU turned by 90 deg about z")  # what flies sideways hides it
+_TURNED = ("IMU turned by 180 deg about x", "IMU turned by 90 deg about z")
+# what flies sideways hides it; with 40 deg of pitch imu_axes reports it
 _UP = "velocity up"  # level flights do not show it
 NOT_SHOWN: dict[str, set[str]] = {
     "static": set(MISTAKES),  # nothing moves: only gravity tells
@@ -124,7 +125,10 @@ NOT_SHOWN: dict[str, set[str]] = {
     **{name: {_FORWARD, _UP} for name in ("date-line", "gnss-denied-leg", "polar")},
     **{name: {_FORWARD} for name in ("gnss-jammed", "waypoints", "figure-eight-matched")},
     **{name: {_UP} for name in ("holding-jammed", "mapping", "s-turns", "survey")},
-    **{name: set(_TURNED) for name in ("delivery", "hover-and-sprint", "inspection", "survey-multirotor")},
+    **{
+        name: set(_TURNED)
+        for name in ("delivery", "hover-and-sprint", "inspection", "survey-multirotor", "winch-launch")
+    },
     "long-cruise": {
         "gyro z reversed",
         _YAWED,

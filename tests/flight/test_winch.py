@@ -150,11 +150,11 @@ def test_the_cable_pulls_toward_the_winch():
 
 
 def test_the_path_is_the_one_that_leaves_the_airspeed():
-    """By hand, P = 0.950 W, drag aside: 43.5 deg under a level cable, 22.4 deg under one that falls by 45."""
+    """By hand, P = 0.95 W under a cable that falls by 45 deg: 21.9 deg, 1.7 less by a drag of 0.053 W."""
     one = launch_in(*WINDS["calm"])
     path = np.degrees(np.arcsin(-one["v_d"] / np.maximum(one["speed"], 0.1)))
     row = np.searchsorted(one["angle"][one.flown], 45.0) + one.lift_off
-    assert_allclose(path[row] + degrees(0.052), 22.4, atol=1.5)
+    assert_allclose(path[row], 21.9 - 1.7, atol=1.0)
 
 
 def test_the_roll_takes_the_rest_of_the_work():

@@ -47,7 +47,7 @@ class Winch(Leg):
     kind = "winch"
     flown_by = (GLIDER,)
     needs = "ground"
-    cable: Annotated[float, Key("cable_m", "from the glider to the winch ahead", 400, 3000)] = 1000.0
+    cable: Annotated[float, Key("cable_m", "laid out; 0.35 to 0.5 of it is gained", 400, 3000)] = 1000.0
     to_height: (
         Annotated[float, Key("to_height_m", "above the start; else to a steep cable", 50, 1500)] | None
     ) = None
