@@ -235,26 +235,24 @@ def test_the_truth_of_a_launch_replays():
 
 
 @pytest.mark.parametrize(
-    ("leg", "message"),
+    ("leg", "wind", "message"),
     [
-        (Winch(to_height=490.0), r"490 m not reached: 1000 m of cable gave 3\d\d m; lay out more"),
-        (
-            Winch(speed=21.0),
-            r"not off the ground on 500 m of the cable, at 2\d m/s; a higher speed_mps",
-        ),
+        (Winch(to_height=490.0), 0.0, r"490 m not reached: 1000 m of cable gave 3\d\d m; lay out more"),
+        (Winch(speed=21.0), 0.0, r"not off the ground on 500 m of the cable, at 2\d m/s; a higher speed"),
+        (Winch(), 16.5, r"a headwind of 1[67] m/s is too strong for 26.6 m/s on the cable, 0.6 of it"),
     ],
 )
-def test_a_launch_that_fails_says_why(leg, message):
+def test_a_launch_that_fails_says_why(leg, wind, message):
     with pytest.raises(FlightError, match=message):
-        Launch(calm(leg))
+        Launch(replace(calm(leg), wind_from=COURSE, wind_speed=wind))
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
         (
-            {"leg.2.to_height_m": 600.0},
-            "to_height_m = 600 m is above half of cable_m = 1000 m, the most",
+            {"leg.2.to_height_m": 760.0},
+            "to_height_m = 760 m is above 0.75 of cable_m = 1000 m, the most",
         ),
         ({"leg.2.cable_m": 100.0}, "cable_m = 100 m is outside 400 to 3000 m"),
         ({"leg.2.speed_mps": 15.0}, "speed_mps = 15 m/s is outside 19 to 47 m/s of the sgs"),
@@ -271,9 +269,9 @@ def test_wrong_launches_are_said_in_one_message(change, message):
     assert message in str(raised.value)
 
 
-def test_half_of_the_cable_may_be_asked_for():
-    legs = read_profile("winch-launch", overrides={"leg.2.to_height_m": 500.0}).flight.legs
-    assert legs[1] == Winch(cable=1000.0, to_height=500.0, speed=27.0)
+def test_three_quarters_of_the_cable_may_be_asked_for():
+    legs = read_profile("winch-launch", overrides={"leg.2.to_height_m": 750.0}).flight.legs
+    assert legs[1] == Winch(cable=1000.0, to_height=750.0, speed=27.0)
 
 
 @pytest.mark.long

@@ -152,7 +152,8 @@ def _check_begin(leg: Leg, start: LegStart) -> list[str]:
         return []
     if leg.needs == "ground":
         does = "stands" if leg.leaves == "ground" else "starts"
-        return [f"{does} on the ground: [start] on_ground = true, or a landing-roll before it"]
+        landed = "" if start.aircraft.glides else ", or a landing-roll before it"
+        return [f"{does} on the ground: [start] on_ground = true{landed}"]
     if leg.needs != "air":
         return [f"must follow {'an' if leg.needs[0] in 'aeiou' else 'a'} {leg.needs}"]
     if after == "approach":

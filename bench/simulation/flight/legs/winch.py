@@ -19,7 +19,8 @@ from bench.simulation.flight.jsbsim_units import FT, POUND
 from bench.simulation.flight.legs.keys import Key, Speed, write_key
 
 _SPEED = 1.4  # airspeed on the cable over the slowest airspeed of the glider, if no other is given
-_MOST = 0.5  # height over length of the cable
+_MOST = 0.75  # height over length of the cable, in a strong headwind
+_WINDY = 0.6  # headwind over the airspeed on the cable
 _ROLL = 0.5  # part of the cable that the glider may roll on
 _THROTTLE = 2.0  # in which the throttle of the winch is opened [s]
 _HANDOVER = 1.0  # in which brakes are released and guidance takes the surfaces [s]
@@ -47,7 +48,7 @@ class Winch(Leg):
     kind = "winch"
     flown_by = (GLIDER,)
     needs = "ground"
-    cable: Annotated[float, Key("cable_m", "laid out; 0.35 to 0.5 of it is gained", 400, 3000)] = 1000.0
+    cable: Annotated[float, Key("cable_m", "laid out; in calm air 0.4 of it is gained", 400, 3000)] = 1000.0
     to_height: (
         Annotated[float, Key("to_height_m", "above the start; else to a steep cable", 50, 1500)] | None
     ) = None
@@ -61,7 +62,7 @@ class Winch(Leg):
     def check(self, start: LegStart) -> list[str]:
         if self.to_height is None or self.to_height <= _MOST * self.cable:
             return []
-        what = f"{write_key(self, 'to_height')} is above half of {write_key(self, 'cable')}"
+        what = f"{write_key(self, 'to_height')} is above {_MOST:g} of {write_key(self, 'cable')}"
         return [f"{what}, the most that a winch gives; lay out more cable"]
 
     def alt_after(self, start: LegStart) -> float:
@@ -88,6 +89,11 @@ class _Launch:
             share * reader(f"atmosphere/wind-{axis}-fps")()
             for axis, share in (("north", north), ("east", east))
         )
+        if -tailwind > _WINDY * speed:
+            what = f"a headwind of {-tailwind:.0f} m/s"
+            raise FlightError(
+                f"{what} is too strong for {speed:g} m/s on the cable, {_WINDY:g} of it at most"
+            )
         for name, value in {
             "lat-rad": lat[1],
             "lon-rad": lon[1],
