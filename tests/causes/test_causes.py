@@ -11,7 +11,7 @@ import pytest
 
 import bench
 from bench import pipeline
-from bench.core.records.sensor_specs import AssumedSpecs, AxisFigures, SensorsSpec, TriadSpec
+from bench.core.records.sensor_specs import AssumedSpecs, AxisFigures, SampleClockSpec, SensorsSpec, TriadSpec
 from bench.core.records.specs import EstimatorChoice, Profile
 from bench.evaluation.causes.candidates import SENSOR_ERRORS, SKY_ERRORS, Candidate, list_candidates
 from bench.evaluation.causes.search import advise, describe_causes, find_causes
@@ -112,9 +112,11 @@ def everything() -> SensorsSpec:
     spec = bench.read_profile(
         "all-sensors", {f"sensors.{kind}": unit for kind, unit in units.items()}
     ).sensors
-    triads = {part: TriadSpec(**large(TriadSpec())) for part in ("gyro", "accel")}
+    triads = {part: TriadSpec(**large(TriadSpec()), noise_shape="sampled") for part in ("gyro", "accel")}
     shaking = replace(spec.imu.vibration, engine_gyro=1.0)
-    imu = replace(spec.imu, **triads, vibration=shaking, accel_arms=((0.0,) * 3,) * 3)
+    imu = replace(
+        spec.imu, **triads, vibration=shaking, clock=SampleClockSpec(drift=1e-5), accel_arms=((0.0,) * 3,) * 3
+    )
     aiding = {
         part: replace(own, **large(own))
         for part in ("gnss", "baro", "mag", "airspeed", "radar", "odometer")

@@ -24,12 +24,12 @@ from tests.synthetic import still
 CATALOG = Path(bench.__file__).parent / "catalog"
 FILES = sorted(CATALOG.glob("*/*.toml"))
 TABLES = {
-    "imu": ("gyro", "accel", "thermal", "vibration", "layout"),
+    "imu": ("gyro", "accel", "thermal", "vibration", "clock", "layout"),
     "gnss": ("gnss", "sky"),
     **{name: (name, *row.parts) for name, row in INSTRUMENTS.items()},
 }
 CHOICES = (
-    "bias_model", "dead_zone_kind",
+    "bias_model", "dead_zone_kind", "noise_shape",
     "start", "almanac", "navigation", "klobuchar", "systems", "bands", "false_alarm",
 )  # fmt: skip
 CLASSES = ("consumer", "industrial", "tactical", "navigation", "synthetic")

@@ -224,6 +224,22 @@ BY_HAND = [
     ("accel", "nonlinearity_sd_percent", 0.1, "nonlinearity_sd", 1e-3),
     ("accel", "bandwidth_hz", 50.0, "bandwidth", 50.0),
     ("accel", "delay_s", 0.002, "delay", 0.002),
+    ("gyro", "resolution_deg_s", 0.01, "resolution", 1.7453293e-04),
+    ("gyro", "temperature2_sd_deg_h_k2", 36.0, "temperature2_sd", 1.7453293e-04),
+    ("gyro", "temperature2_sd_deg_s_k2", 0.01, "temperature2_sd", 1.7453293e-04),
+    ("gyro", "hysteresis_sd_deg_h", 36.0, "hysteresis_sd", 1.7453293e-04),
+    ("gyro", "hysteresis_sd_deg_s", 0.01, "hysteresis_sd", 1.7453293e-04),
+    ("gyro", "transient_sd_deg_h", 36.0, "transient_sd", 1.7453293e-04),
+    ("gyro", "transient_sd_deg_s", 0.01, "transient_sd", 1.7453293e-04),
+    ("gyro", "transient_time_s", 60.0, "transient_time", 60.0),
+    ("accel", "resolution_ug", 100.0, "resolution", 9.8066500e-04),
+    ("accel", "resolution_mg", 0.1, "resolution", 9.8066500e-04),
+    ("accel", "temperature2_sd_ug_k2", 100.0, "temperature2_sd", 9.8066500e-04),
+    ("accel", "hysteresis_sd_ug", 100.0, "hysteresis_sd", 9.8066500e-04),
+    ("accel", "hysteresis_sd_mg", 0.1, "hysteresis_sd", 9.8066500e-04),
+    ("accel", "transient_sd_ug", 100.0, "transient_sd", 9.8066500e-04),
+    ("accel", "transient_sd_mg", 0.1, "transient_sd", 9.8066500e-04),
+    ("accel", "transient_time_s", 60.0, "transient_time", 60.0),
 ]
 
 
@@ -231,6 +247,7 @@ BY_HAND = [
 def test_a_datasheet_figure_becomes_si(tmp_path, triad, key, value, field, si):
     whole_range = "range_deg_s" if triad == "gyro" else "range_g"
     needs = {"bias_instability": "bias_correlation_s = 300.0", "nonlinearity_sd": f"{whole_range} = 8.0"}
+    needs["transient_sd"] = "transient_time_s = 60.0"
     write(tmp_path, f'source = "by hand"\n[{triad}]\n{key} = {value}\n{needs.get(field, "")}\n', "unit.toml")
     spec = read_imu(tmp_path / "unit.toml", "unit.toml")
     assert getattr(getattr(spec, triad), field) == pytest.approx(si, rel=1e-7)

@@ -57,6 +57,7 @@ MAG = {
     "rate_hz": (20.0, "rate", 20.0),
     "white_sd_nt": (15.0, "white_sd", 1.5e-8),
     "hard_iron_sd_nt": (500.0, "hard_iron_sd", 5e-7),
+    "motor_field_sd_nt": (900.0, "motor_field_sd", 9e-7),
     "soft_iron_sd_percent": (0.5, "soft_iron_sd", 5e-3),
     "scale_factor_sd_percent": (0.2, "scale_factor_sd", 2e-3),
     "misalignment_sd_deg": (0.1, "misalignment_sd", 1.74532925e-3),

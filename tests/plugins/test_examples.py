@@ -21,7 +21,7 @@ from bench.cli.verbs.other_packages import list_plugin_problems
 from bench.core.files.installed import find_class
 from bench.core.files.places import PACKAGE
 from bench.core.records.orbit_sets import GPS, KEPLER, KeplerSets
-from bench.core.records.sensor_specs import SkySpec
+from bench.core.records.sky_spec import SkySpec
 from bench.experiments.studies.conducting import find_study
 from bench.io import exports
 from bench.io.config.datasheets import read_gnss

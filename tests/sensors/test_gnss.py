@@ -279,7 +279,7 @@ def day():
 
 def test_the_constellation_changes_when_a_satellite_crosses_five_degrees(day):
     """By the kernel of the measurement-level receiver; 24 satellites come and go about twice a day."""
-    from bench.core.records.sensor_specs import SkySpec
+    from bench.core.records.sky_spec import SkySpec
     from bench.simulation.sensors.measurement_level.view import compute_view
 
     rows = np.arange(1, len(day.t))

@@ -346,6 +346,7 @@ def test_compiled_kernels_agree_with_their_own_python(turn):
         rng.normal(size=(n, 3)),
         np.array([1e-3, 2e-3, 0.0]),
         1e-4,
+        0.0,
         rng.normal(scale=1e-3, size=(n, 3)),
         20.0,
     )

@@ -183,10 +183,12 @@ def test_a_figure_of_one_axis_acts_on_that_axis_alone(figure):
     """The other axes keep their bits; three equal figures are one figure."""
     turn = turning(5.0, 200.0)
     figures = {**dict.fromkeys(BY_AXIS, 1e-4), "range": 1e3, "bias_correlation": 20.0, "quantization": 1e-7}
+    figures["transient_time"] = 10.0
     same, large = TriadSpec(**figures), TriadSpec(**{**figures, figure: 5e-4})
     alike = replace(same, axes=(AxisFigures(figure, 1e-4, 1e-4, 1e-4),))
     third = replace(large, axes=(AxisFigures(figure, 1e-4, 1e-4, 5e-4),))
-    usual, whole, one = (run(turn, gyro=spec, accel=spec)[0] for spec in (same, large, third))
+    warming = {"thermal": ThermalSpec(self_heating=5.0, time_constant=2.0)}
+    usual, whole, one = (run(turn, gyro=spec, accel=spec, **warming)[0] for spec in (same, large, third))
     assert_array_equal(run(turn, gyro=alike)[0].dtheta_b, run(turn, gyro=same)[0].dtheta_b)
     for column in ("dtheta_b", "dvel_b"):
         ours, before, after = (getattr(record, column) for record in (one, usual, whole))

@@ -18,6 +18,7 @@ from bench.core.records.rotor_speeds import Rotors
 from bench.core.records.sensor_specs import (
     AssumedSpecs,
     ImuSpec,
+    SampleClockSpec,
     SensorsSpec,
     ThermalSpec,
     TriadSpec,
@@ -49,6 +50,18 @@ EVERY_TERM = ImuSpec(
     accel_cone=0.6,
     accel_arms=((0.02, 0.0, 0.0), (0.0, 0.02, 0.0), (0.0, 0.0, 0.02)),
 )  # fmt: skip
+
+
+AS_IT_IS = replace(
+    EVERY_TERM,
+    gyro=replace(EVERY_TERM.gyro, noise_shape="averaged", transient_sd=1e-4, transient_time=9.0),
+    accel=replace(EVERY_TERM.accel, noise_shape="sampled", quantization=0.0, resolution=1e-3),
+    thermal=ThermalSpec(self_heating=15.0, time_constant=20.0, hysteresis=2.0),
+    clock=SampleClockSpec(drift=1e-3, jitter=1e-3),
+)
+for name in ("gyro", "accel"):
+    triad = replace(getattr(AS_IT_IS, name), temperature2_sd=1e-7, hysteresis_sd=1e-4)
+    AS_IT_IS = replace(AS_IT_IS, **{name: triad})
 
 
 @pytest.fixture(scope="module")
@@ -167,6 +180,17 @@ def test_every_unit_of_the_catalog_draws_in_order_of_time_to_the_end(gusty, kind
 @pytest.mark.parametrize("ticks", [[1] * 1199, TICKS], ids=["50 ms", "mixed"])
 def test_a_unit_with_every_error_term_draws_in_order_of_time(gusty, ticks):
     assert_same_bits(gusty, on_board(), ticks)
+
+
+def test_a_unit_as_it_is_draws_in_order_of_time(begin):
+    """Shaped noise, clock, transient, hysteresis; and a receiver with late, shaken and smoothed fixes."""
+    fixes = SENSORS["gnss"](CATALOG / "gnss" / "l1-code.toml", "l1-code")
+    fixes = replace(
+        fixes, latency=0.1, latency_jitter=0.3, time_tag_error=0.013, pos_h_smooth_sd=1.0, smooth_time=5.0
+    )
+    compass = SENSORS["mag"](CATALOG / "mag" / "rm3100.toml", "rm3100")
+    spec = on_board(AS_IT_IS, gnss=fixes, mag=replace(compass, motor_field_sd=1e-6))
+    assert_same_bits(begin, spec, FEW[:32])
 
 
 @pytest.mark.slow

@@ -17,7 +17,7 @@ from bench.core.mathematics import earth, rotation
 from bench.core.mathematics.random_streams import stream
 from bench.core.records.data import GnssObservations
 from bench.core.records.orbit_sets import GLONASS, GPS
-from bench.core.records.sensor_specs import SkySpec
+from bench.core.records.sky_spec import SkySpec
 from bench.core.records.specs import EvaluationWindow
 from bench.core.words.exceptions import ConfigError
 from bench.io import config

@@ -19,7 +19,8 @@ from bench.cli.verbs.guide import find_pages
 from bench.core.mathematics.units import from_si
 from bench.core.records.fields import figures_of, triad_figures_of
 from bench.core.records.instruments import INSTRUMENTS
-from bench.core.records.sensor_specs import GnssSpec, SkySpec, ThermalSpec, TriadSpec, VibrationSpec
+from bench.core.records.sensor_specs import GnssSpec, SampleClockSpec, ThermalSpec, TriadSpec, VibrationSpec
+from bench.core.records.sky_spec import SkySpec
 from bench.core.words.exceptions import STATUSES, ConfigError
 from bench.core.words.wording import as_toml, read_words
 from bench.evaluation.metrics.run_metrics import METRICS
@@ -273,13 +274,14 @@ def write_imu() -> Lines:
             if names := one.keys(name, triad):
                 keys[place].append(make_key(names, "", said, ""))
     choices = ImuSheet.model_fields["gyro"].annotation.model_fields  # type: ignore[union-attr]
-    for name in ("bias_model", "dead_zone_kind"):
+    for name in ("bias_model", "noise_shape", "dead_zone_kind"):
         limits = describe_limits(choices[name].annotation)
         keys[both].append(make_key([name], describe_default(choices[name]), words[name], limits))
     for place, found in keys.items():
         yield from write_keys(f"key of {place}", found)
     yield from write_keys("key of `[thermal]`", list_figures(ThermalSpec))
     yield from write_keys("key of `[vibration]`", list_figures(VibrationSpec))
+    yield from write_keys("key of `[clock]`", list_figures(SampleClockSpec))
     yield from write_keys("key of `[layout]`", list_keys(LayoutTable))
 
 

@@ -117,6 +117,8 @@ class MagSpec:
     """Error of the scale factor of each axis [1]."""
     misalignment_sd: float = figure("deg", 0, 45, default=0.0, error="magnetometer calibration")
     """Misalignment of each axis towards each other one [rad]."""
+    motor_field_sd: float = figure("nt", default=0.0, error="field of motor currents")
+    """Field of the motor currents at full throttle, each axis [T]."""
     range: float = figure("ut", default=0.0)
     """Largest field of an axis: samples beyond it are clipped and flagged [T]; 0: no limit."""
     quantization: float = figure("nt", default=0.0)
@@ -127,10 +129,7 @@ class MagSpec:
 
 @declared
 class AirspeedSpec:
-    """A pitot tube with a differential pressure sensor and an air data computer. 0 switches an error off.
-
-    ``bench.simulation.signals.air.airspeed_sd`` converts the white noise to a speed.
-    """
+    """A pitot tube with a differential pressure sensor and an air data computer. 0 switches an error off."""
 
     name: str
     rate: float = figure("hz", 0.01, 400)

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from datetime import date
 from typing import Any
 
 import numpy as np
@@ -14,7 +12,7 @@ from bench.core.mathematics.arrays import FloatArray
 from bench.core.records.fields import declared, figure, triad_figure
 from bench.core.records.flight_specs import TerrainSpec
 from bench.core.records.instruments import InstrumentSpecs
-from bench.core.records.orbit_sets import GlonassSets, KeplerSets, parse_systems
+from bench.core.records.sky_spec import SkySpec
 
 GAUSS_MARKOV_PEAK = 0.617
 """Peak of the Allan deviation of a first-order Gauss-Markov process over its standard deviation [1]."""
@@ -68,6 +66,8 @@ class TriadSpec:
     """Misalignment: each off-diagonal element of the matrix [rad]."""
     quantization: float = triad_figure(("rad", "deg"), ("m_s",), error="quantization", default=0.0)
     """Resolution of an increment [unit]."""
+    resolution: float = triad_figure(("deg_s",), ("ug", "mg"), error="rounding of the rates", default=0.0)
+    """Resolution of the rate: each sample is rounded, and the remainder is lost [unit/s]."""
     rate_random_walk: float = triad_figure(
         ("deg_h_sqrt_h", "deg_s_sqrt_s"), ("ug_sqrt_h",), error="rate random walk", default=0.0, by_axis=True
     )
@@ -105,6 +105,21 @@ class TriadSpec:
         by_axis=True,
     )
     """Bias per difference from the reference temperature [unit/s/K]."""
+    temperature2_sd: float = triad_figure(
+        ("deg_h_k2", "deg_s_k2"), ("ug_k2",), error="temperature bias of second order", default=0.0,
+        by_axis=True,
+    )  # fmt: skip
+    """Bias per squared difference from the reference temperature [unit/s/K^2]."""
+    hysteresis_sd: float = triad_figure(
+        _DRIFT, _ACCELERATION, error="temperature hysteresis", default=0.0, by_axis=True
+    )
+    """Bias after long warming; after long cooling it has the opposite sign [unit/s]."""
+    transient_sd: float = triad_figure(
+        _DRIFT, _ACCELERATION, error="turn-on transient", default=0.0, by_axis=True
+    )
+    """Additional bias when the unit is switched on, which decays [unit/s]."""
+    transient_time: float = triad_figure(("s",), ("s",), default=0.0)
+    """Time constant of this decay [s]."""
     dead_zone: float = triad_figure(_DRIFT, _ACCELERATION, error="dead zone", default=0.0)
     """Dead zone: what is below it reads 0 [unit/s]."""
     dead_zone_kind: str = "subtractive"
@@ -117,7 +132,16 @@ class TriadSpec:
     """-3 dB frequency of a second-order Butterworth filter of the motion [Hz]; 0: no filter."""
     delay: float = triad_figure(("s",), ("s",), error="bandwidth and delay", default=0.0)
     """Delay of the motion, in addition to the delay of the filter [s]."""
+    noise_shape: str = "white"
+    """White noise: not filtered ("white"), or through the filter of the bandwidth, as mean of each sample
+    ("averaged") or value at its end ("sampled")."""
     axes: tuple[AxisFigures, ...] = ()  # figures whose axes differ
+
+    @property
+    def has_slow_terms(self) -> bool:
+        """Return whether the bias has parts that are linear between epochs 0.05 s apart."""
+        slow = (self.rate_random_walk, self.temperature_sd, self.temperature2_sd, self.hysteresis_sd)
+        return max(*slow, self.transient_sd) > 0
 
     @property
     def instability_sd(self) -> float:
@@ -154,6 +178,18 @@ class ThermalSpec:
     """Final temperature of the sensor above the air [K]."""
     time_constant: float = figure("s", default=0.0)
     """Time constant of the warming [s]; 0: immediate."""
+    hysteresis: float = figure("k", 0.01, 200, default=10.0)
+    """Change of temperature after which 63 % of the hysteresis has turned over [K]."""
+
+
+@declared
+class SampleClockSpec:
+    """Clock of an IMU: its time tags run ahead of the samples. 0 switches an error off."""
+
+    drift: float = figure("ppm", 0, 1000, default=0.0)
+    """Growth of the time from a sample to its time tag [1]."""
+    jitter: float = figure("us", 0, 1e5, default=0.0)
+    """Largest random part of this time, uniform from 0 for each sample [s]."""
 
 
 @declared
@@ -220,116 +256,21 @@ class ImuSpec:
     accel: TriadSpec
     thermal: ThermalSpec = field(default_factory=ThermalSpec)
     vibration: VibrationSpec = field(default_factory=VibrationSpec)
+    clock: SampleClockSpec = field(default_factory=SampleClockSpec)
     accel_cone: float = 0.0  # half-angle of a skewed accelerometer triad about x [rad]; 0: axes along b
     accel_arms: tuple[tuple[float, float, float], ...] = ()  # positions of the x, y, z accelerometer [m], b
+
+    @property
+    def warms(self) -> bool:
+        """Return whether an error depends on the temperature."""
+        names = ("temperature_sd", "temperature2_sd", "hysteresis_sd")
+        return any(getattr(triad, name) > 0 for triad in (self.gyro, self.accel) for name in names)
 
     @property
     def feels_air(self) -> bool:
         """Return whether an error depends on gusts or engine speed of the flight."""
         v = self.vibration
         return max(v.engine_gyro, v.engine_accel, v.gust_gyro, v.gust_accel) > 0
-
-
-@declared
-class SkySpec:
-    """Measurement-level GNSS: constellations, reception, errors of the ranges. 0 switches an error off."""
-
-    day: date  # of the flight
-    gps_t0: float  # GPS time of the start of the run, seconds since midnight of that day [s]
-    orbits: Mapping[int, KeplerSets | GlonassSets] | None  # by system, since that midnight; others: nominal
-    klobuchar: tuple[float, ...]  # (8,) true and broadcast ionosphere, alpha 0-3, beta 0-3
-    systems: str  # that the receiver has, as `orbit_sets.parse_systems` takes it; "auto": GPS, GLONASS
-    bands: int  # 1, or 2: the ionosphere-free combination
-    elevation_mask: float = figure("deg", 3, 60)
-    """Lowest elevation above the horizon that is used [rad]."""
-    antenna_mask: float = figure("deg", -90, 60)
-    """Lowest elevation above the plane of the antenna that is received [rad]."""
-    cn0_zenith: float = figure("dbhz", 0, 70)
-    """C/N0 along the axis of the antenna, up in the body [dB-Hz]."""
-    cn0_horizon: float = figure("dbhz", 0, 70)
-    """C/N0 in the plane of the antenna [dB-Hz]."""
-    cn0_threshold: float = figure("dbhz", 0, 70)
-    """Lowest C/N0 that is tracked [dB-Hz]."""
-    second_band_loss: float = figure("db", default=0.0)
-    """Loss of C/N0 of the second band against the first [dB]."""
-    reacquisition: float = figure("s", default=0.0)
-    """Time from the signal back to measurements back [s]."""
-    dll_bandwidth: float = figure("hz", default=0.0)
-    """Bandwidth of the code loop, which sets the noise of pseudoranges [Hz]."""
-    dll_spacing: float = figure("chip", 0.01, 1, default=1.0)
-    """Early to late spacing of the code loop [chip]."""
-    fll_bandwidth: float = figure("hz", default=0.0)
-    """Bandwidth of the frequency loop, which sets the noise of range rates [Hz]."""
-    integration: float = figure("s", 1e-3, 1, default=0.02)
-    """Integration before detection [s]."""
-    gps_space_sd: float = figure("m", default=0.0)
-    """Ephemeris and clock of GPS satellites, along the range [m]."""
-    glonass_space_sd: float = figure("m", default=0.0)
-    """Ephemeris and clock of GLONASS satellites, along the range [m]."""
-    galileo_space_sd: float = figure("m", default=0.0)
-    """Ephemeris and clock of Galileo satellites, along the range [m]."""
-    beidou_space_sd: float = figure("m", default=0.0)
-    """Ephemeris and clock of BeiDou satellites, along the range [m]."""
-    space_correlation: float = figure("s", 1e-6, 1e9, default=0.0)
-    """Correlation time of these [s]."""
-    ionosphere_sd: float = figure("m", default=0.0)
-    """Vertical delay that the broadcast model of the ionosphere leaves [m]."""
-    ionosphere_share: float = figure("", 0, 1, default=0.0)
-    """Additional error of the ionosphere model as a fraction of its delay [1]."""
-    ionosphere_correlation: float = figure("s", 1e-6, 1e9, default=0.0)
-    """Correlation time of both [s]."""
-    ionosphere_decay: float = figure("km", 100, 1e5, default=3e6)
-    """Distance in the ionosphere over which they lose all but 1/e of their correlation [m]."""
-    troposphere_sd: float = figure("m", default=0.0)
-    """Vertical delay that the model of the troposphere leaves [m]."""
-    troposphere_correlation: float = figure("s", 1e-6, 1e9, default=0.0)
-    """Correlation time of that [s]."""
-    multipath_zenith_sd: float = figure("m", default=0.0)
-    """Multipath at the zenith [m]."""
-    multipath_horizon_sd: float = figure("m", default=0.0)
-    """Multipath added at the horizon, 1/e of it at 10 deg [m]."""
-    multipath_correlation: float = figure("s", 1e-6, 1e9, default=0.0)
-    """Correlation time of the multipath [s]."""
-    clock_offset_sd: float = figure("m", default=0.0)
-    """Offset of the receiver clock at the start [m]."""
-    clock_drift_sd: float = figure("mps", default=0.0)
-    """Drift of the receiver clock at the start [m/s]."""
-    glonass_offset_sd: float = figure("m", default=0.0)
-    """GLONASS against GPS time in the receiver [m]."""
-    galileo_offset_sd: float = figure("m", default=0.0)
-    """Galileo against GPS time in the receiver [m]."""
-    beidou_offset_sd: float = figure("m", default=0.0)
-    """BeiDou against GPS time in the receiver [m]."""
-    clock_h_0: float = figure("s", default=0.0)
-    """White frequency noise of the clock, one-sided power-law coefficient [s]."""
-    clock_h_m1: float = figure(default=0.0)
-    """Flicker of its frequency [1]."""
-    clock_h_m2: float = figure("hz", default=0.0)
-    """Random walk of its frequency [1/s]."""
-    clock_g: float = figure("ppb", -1e6, 1e6, default=0.0)
-    """Change of its frequency with the specific force along body down; in a file, per g [s^2/m]."""
-    false_alarm: float = figure("", 0, 0.5, default=1e-3)
-    """Chance that the fault exclusion of an epoch raises a false alarm [1]."""
-
-    @property
-    def constellations(self) -> tuple[int, ...]:
-        """Codes of the systems that the receiver has, in ascending order."""
-        return tuple(sorted(parse_systems("both" if self.systems == "auto" else self.systems)))
-
-    @property
-    def space_sd(self) -> tuple[float, float, float, float]:
-        """Error of ephemeris and clock by system [m]."""
-        return self.gps_space_sd, self.glonass_space_sd, self.galileo_space_sd, self.beidou_space_sd
-
-    @property
-    def offset_sd(self) -> tuple[float, float, float, float]:
-        """Time offset of each system relative to GPS in the receiver [m]."""
-        return 0.0, self.glonass_offset_sd, self.galileo_offset_sd, self.beidou_offset_sd
-
-    @property
-    def ionosphere_left(self) -> bool:
-        """Return whether ranges have an error of the ionosphere beyond the broadcast model."""
-        return max(self.ionosphere_sd, self.ionosphere_share) > 0
 
 
 @declared
@@ -361,6 +302,16 @@ class GnssSpec:
     """Time over which the error of the velocity wanders, lambda_V [1/s]."""
     latency: float = figure("s", default=0.0)
     """Time from a fix until a filter gets it [s]."""
+    latency_jitter: float = figure("s", 0, 10, default=0.0)
+    """Largest addition to the latency, uniform from 0 for each fix; no fix overtakes the one before [s]."""
+    time_tag_error: float = figure("s", -10, 10, default=0.0)
+    """Time tag of a fix minus its true time [s]."""
+    pos_h_smooth_sd: float = figure("m", default=0.0)
+    """Error of carrier-smoothed code that wanders besides, each horizontal axis [m]."""
+    pos_v_smooth_sd: float = figure("m", default=0.0)
+    """The same of the height [m]."""
+    smooth_time: float = figure("s", default=0.0)
+    """Correlation time of this error [s]."""
     pos_h_jump_sd: float = figure("m", default=0.0)
     """Jump of the position when the satellites in use change, each horizontal axis [m]."""
     pos_v_jump_sd: float = figure("m", default=0.0)

@@ -14,7 +14,7 @@ from typing import Any
 
 from bench.core.records.fields import figures_of, triad_figures_of
 from bench.core.records.instruments import INSTRUMENTS
-from bench.core.records.sensor_specs import SensorsSpec, TriadSpec, VibrationSpec
+from bench.core.records.sensor_specs import SampleClockSpec, SensorsSpec, TriadSpec, VibrationSpec
 from bench.evaluation.linear.terms import list_sources
 
 TRIADS = {"gyro": "gyro", "accel": "accelerometer"}
@@ -28,7 +28,9 @@ _IRON = ("hard_iron_sd", "soft_iron_sd", "scale_factor_sd", "misalignment_sd")
 SENSOR_ERRORS: Mapping[str, tuple[str, tuple[str, ...]]] = {
     WANDER: ("gnss", ("pos_h_markov_sd", "pos_v_markov_sd")),
     "time-correlated GNSS velocity error": ("gnss", ("vel_markov_sd",)),
-    "GNSS latency": ("gnss", ("latency",)),
+    "error of carrier-smoothed code": ("gnss", ("pos_h_smooth_sd", "pos_v_smooth_sd")),
+    "GNSS latency": ("gnss", ("latency", "latency_jitter")),
+    "time tags of the fixes": ("gnss", ("time_tag_error",)),
     "lag of the receiver under acceleration": ("gnss", ("tracking_bandwidth",)),
     "jumps of the GNSS error where the satellites change": ("gnss", _JUMPS),
     "barometer quantization": ("baro", ("quantization",)),
@@ -36,6 +38,7 @@ SENSOR_ERRORS: Mapping[str, tuple[str, tuple[str, ...]]] = {
     "airspeed bias and scale factor": ("airspeed", ("bias_sd", "pressure_bias_sd", "scale_factor_sd")),
     "airspeed lag": ("airspeed", ("lag",)),
     "magnetometer calibration": ("mag", _IRON),
+    "field of motor currents": ("mag", ("motor_field_sd",)),
     "radar altimeter bias": ("radar", ("bias_sd",)),
     "radar altimeter quantization": ("radar", ("quantization",)),
     "odometer scale factor": ("odometer", ("scale_factor_sd",)),
@@ -55,7 +58,7 @@ SKY_ERRORS: Mapping[str, tuple[str, ...]] = {
     "flicker of the receiver's clock": ("clock_h_m1",),
     "g-sensitivity of the receiver's clock": ("clock_g",),
 }
-"""The same of the ranges of a receiver at measurement level -> figures of `sensor_specs.SkySpec`."""
+"""The same of the ranges of a receiver at measurement level -> figures of `sky_spec.SkySpec`."""
 _OF_BOTH = ("GNSS latency", "lag of the receiver under acceleration")  # of fixes and of ranges
 _CLOCK = ("flicker of the receiver's clock", "g-sensitivity of the receiver's clock")
 
@@ -105,6 +108,7 @@ def _list_errors(spec: SensorsSpec, unmodeled: Collection[str]) -> Iterator[Cand
                 yield Candidate(error, title, partial(_change_triad, part, names, None), error)
     without: Mapping[str, Mapping[str, Any]] = {
         "distance between the accelerometers": {"accel_arms": ()},
+        "time tags of the IMU": {"clock": SampleClockSpec()},
         "vibration": {"vibration": VibrationSpec()},
     }
     for error, changed in without.items():
@@ -130,7 +134,8 @@ def _name_triad_errors(title: str) -> dict[str, tuple[str, ...]]:
     for name, declared in triad_figures_of(TriadSpec).items():
         if declared.error:
             found[f"{title} {declared.error}"] = (*found.get(f"{title} {declared.error}", ()), name)
-    return found | {f"{title} bias instability as flicker noise": ("bias_instability",)}
+    found[f"{title} bias instability as flicker noise"] = ("bias_instability",)
+    return found | {f"{title} noise through the filter of the bandwidth": ("noise_shape",)}
 
 
 def _list_other_figures(spec: SensorsSpec, named: Collection[str]) -> Iterator[Candidate]:

@@ -188,6 +188,16 @@ def check_sensors(spec: SensorsSpec) -> None:
     late = [one.name for one in (spec.gnss, spec.baro) if one is not None and one.latency > 0]
     if late:
         raise ConfigError(f"the linear model needs sensors without latency, not {', '.join(late)}")
+    imu, gnss = spec.imu, spec.gnss
+    names = ("resolution", "temperature2_sd", "hysteresis_sd", "transient_sd")
+    odd = [name for one in (imu.gyro, imu.accel) for name in names if getattr(one, name) > 0]
+    odd += [name for name in ("drift", "jitter") if getattr(imu.clock, name) > 0]
+    odd += ["noise_shape" for one in (imu.gyro, imu.accel) if one.noise_shape != "white"]
+    if gnss is not None:
+        names = ("latency_jitter", "time_tag_error", "pos_h_smooth_sd", "pos_v_smooth_sd")
+        odd += [name for name in names if getattr(gnss, name)]
+    if odd:
+        raise ConfigError(f"the linear model has no {', '.join(dict.fromkeys(odd))}: set them to 0")
     if spec.faults:
         raise ConfigError("the linear model has no scripted faults; give a profile without [[fault]]")
 

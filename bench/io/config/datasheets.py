@@ -17,6 +17,7 @@ from bench.core.records.sensor_specs import (
     AxisFigures,
     GnssSpec,
     ImuSpec,
+    SampleClockSpec,
     ThermalSpec,
     TriadSpec,
     VibrationSpec,
@@ -40,7 +41,7 @@ MODIFIED = ", modified"
 """Follows the name of a unit of which a figure was replaced."""
 
 _TRIADS = ("gyro", "accel")
-_CHOICES = {"bias_model": "flicker", "dead_zone_kind": "subtractive"}
+_CHOICES = {"bias_model": "flicker", "dead_zone_kind": "subtractive", "noise_shape": "white"}
 """Choices of a triad that are not figures, with their defaults."""
 
 
@@ -51,6 +52,7 @@ def _make_triad_table(name: str) -> type[Table]:
     rows: dict[str, Any] = dict.fromkeys(keys, (Figure | None, None))
     rows["bias_model"] = (Literal["flicker", "gauss-markov"], _CHOICES["bias_model"])
     rows["dead_zone_kind"] = (Literal["subtractive", "hard"], _CHOICES["dead_zone_kind"])
+    rows["noise_shape"] = (Literal["white", "averaged", "sampled"], _CHOICES["noise_shape"])
     return create_model(name.capitalize(), __base__=Table, **rows)
 
 
@@ -72,6 +74,7 @@ class LayoutTable(Table):
 
 
 _Thermal, _Vibration = make_table_type(ThermalSpec), make_table_type(VibrationSpec)
+_Clock = make_table_type(SampleClockSpec)
 
 
 class ImuSheet(Sheet):
@@ -81,6 +84,7 @@ class ImuSheet(Sheet):
     accel: _make_triad_table("accel") = Field(default_factory=dict)  # type: ignore[valid-type]
     thermal: _Thermal = Field(default_factory=_Thermal)  # type: ignore[valid-type]
     vibration: _Vibration = Field(default_factory=_Vibration)  # type: ignore[valid-type]
+    clock: _Clock = Field(default_factory=_Clock)  # type: ignore[valid-type]
     layout: LayoutTable = Field(default_factory=LayoutTable)
 
 
@@ -134,6 +138,7 @@ def read_imu(path: Path, shown: str, changes: Mapping[str, Any] | None = None) -
         triads["accel"],
         thermal=ThermalSpec(**convert_figures(ThermalSpec, sheet.thermal)),
         vibration=VibrationSpec(**convert_figures(VibrationSpec, sheet.vibration)),
+        clock=SampleClockSpec(**convert_figures(SampleClockSpec, sheet.clock)),
         accel_cone=to_si("accel_cone_deg", sheet.layout.accel_cone_deg),
         accel_arms=arms if any(map(any, arms)) else (),
     )
@@ -185,8 +190,14 @@ def read_gnss(path: Path, shown: str, changes: Mapping[str, Any] | None = None) 
             wrong.append(f"[gnss] pos_h_{kind}_sd_m needs pos_decay_distance_km or pos_decay_time_s")
         if getattr(spec, f"vel_{kind}_sd") and not spec.vel_decay_time:
             wrong.append(f"[gnss] vel_{kind}_sd_mps needs vel_decay_time_s")
+    if max(spec.pos_h_smooth_sd, spec.pos_v_smooth_sd) and not spec.smooth_time:
+        wrong.append("[gnss] pos_h_smooth_sd_m and pos_v_smooth_sd_m need smooth_time_s above 0 s")
     if sheet.sky is not None and spec.jumps:
         wrong.append("[gnss] [sky] makes the jumps; leave out the *_jump_* figures")
+    if sheet.sky is not None and (spec.smooth_time or spec.latency_jitter or spec.time_tag_error):
+        wrong.append(
+            "[gnss] smooth_time_s, latency_jitter_s and time_tag_error_s are for receivers without [sky]"
+        )
     if sheet.sky is not None:
         with collect_errors(wrong):
             spec = replace(spec, sky=read_sky(sheet.sky, path.parent))

@@ -13,7 +13,7 @@ from pydantic_core import PydanticCustomError
 
 from bench.core.mathematics.units import STANDARD_GRAVITY
 from bench.core.records.orbit_sets import GLONASS, GPS, SYSTEM_NAMES, GlonassSets, KeplerSets, parse_systems
-from bench.core.records.sensor_specs import SkySpec
+from bench.core.records.sky_spec import SkySpec
 from bench.core.words.exceptions import ConfigError
 from bench.io.config.sheet import convert_figures, make_table_type
 from bench.io.config.tables import ROWS, collect_errors

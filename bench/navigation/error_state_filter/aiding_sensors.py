@@ -82,11 +82,12 @@ class AidingSensor:
 def fix_variance(gnss: GnssSpec, *, gnss_markov: bool) -> FloatArray:
     """Return the variances (6,) taken as white in a fix, position [m^2] then velocity [m^2/s^2], n.
 
-    With Markov states the white part of the datasheet; without, white and Markov part together.
+    With Markov states the white part of the datasheet; without, white and Markov part together. The error of
+    carrier-smoothed code has no state and counts as white.
     """
     rest = 0.0 if gnss_markov else 1.0
-    h = gnss.pos_h_white_sd**2 + rest * gnss.pos_h_markov_sd**2
-    v = gnss.pos_v_white_sd**2 + rest * gnss.pos_v_markov_sd**2
+    h = gnss.pos_h_white_sd**2 + rest * gnss.pos_h_markov_sd**2 + gnss.pos_h_smooth_sd**2
+    v = gnss.pos_v_white_sd**2 + rest * gnss.pos_v_markov_sd**2 + gnss.pos_v_smooth_sd**2
     s = np.square(gnss.vel_white_sd_n) + rest * gnss.vel_markov_sd**2
     return np.array([h, h, v, *s])
 
@@ -139,7 +140,9 @@ def fix_errors(gnss: GnssSpec) -> Errors:
     """Yield the errors of a receiver's fixes beyond white noise."""
     yield "time-correlated GNSS position error", max(gnss.pos_h_markov_sd, gnss.pos_v_markov_sd)
     yield "time-correlated GNSS velocity error", gnss.vel_markov_sd
-    yield LATENCY, gnss.latency
+    yield "error of carrier-smoothed code", max(gnss.pos_h_smooth_sd, gnss.pos_v_smooth_sd)
+    yield LATENCY, gnss.latency or gnss.latency_jitter
+    yield "time tags of the fixes", gnss.time_tag_error
     yield "jumps of the GNSS error where the satellites change", gnss.jumps
     yield LAG, gnss.tracking_bandwidth
 
@@ -266,7 +269,9 @@ def imu_errors(imu: ImuSpec) -> Errors:
                 yield f"{name} {one.metadata['triad'].error}", getattr(triad, one.name)
         flicker = triad.bias_model == "flicker"
         yield f"{name} bias instability as flicker noise", triad.bias_instability if flicker else 0.0
+        yield f"{name} noise through the filter of the bandwidth", triad.noise_shape != "white"
     yield "distance between the accelerometers", imu.accel_arms
+    yield "time tags of the IMU", max(imu.clock.drift, imu.clock.jitter)
     shaking = imu.vibration
     yield (
         "vibration",

@@ -11,7 +11,8 @@ import numpy as np
 
 from bench.core.mathematics.arrays import FloatArray, IntArray
 from bench.core.records.data import GnssObservations
-from bench.core.records.sensor_specs import GnssSpec, SkySpec
+from bench.core.records.sensor_specs import GnssSpec
+from bench.core.records.sky_spec import SkySpec
 from bench.io.fix_readers import RecordedRanges
 from bench.io.logs.rows import LogRows
 from bench.navigation.engine.kept_rows import take_rows

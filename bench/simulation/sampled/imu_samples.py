@@ -12,10 +12,11 @@ import numpy as np
 
 from bench.core.mathematics.arrays import BoolArray, FloatArray, IntArray
 from bench.core.records.data import AirData, ImuData, Trajectory, no_controls, no_events
-from bench.core.records.sensor_specs import Fault, ImuSpec, TriadSpec
+from bench.core.records.sensor_specs import Fault, ImuSpec, SampleClockSpec, TriadSpec
 from bench.simulation.sampled.sample_motion import SampleMotion
 from bench.simulation.sensors import faults, imu, imu_terms, vibration
 from bench.simulation.sensors.draws import SensorDraws
+from bench.simulation.sensors.motion_response import Response, tag_responses
 from bench.simulation.sensors.processes import apply_lag
 
 _NONE = np.empty((0, 3))
@@ -85,16 +86,21 @@ class SampledImu:
         if spec.accel_cone > 0 or spec.accel_arms:
             arms = np.array(spec.accel_arms) if spec.accel_arms else None
             force = imu_terms.resolve_along_axes(dtheta_b, dvel_b, dt, arms, self._N, self._draws)
-        valid, found = np.ones(1, bool), []
-        for number, increment in enumerate((dtheta_b, force)):
-            triad, part = self._triads[number]
-            knots, bias, white = self._errors[number]
+        valid, found, responses = np.ones(1, bool), [], []
+        for (triad, part), increment in zip(self._triads, (dtheta_b, force), strict=True):
             increment = imu_terms.apply_response(t, increment, triad, part)
             moving = imu_terms.draw_motion_errors(t, increment, dvel_b, triad, part)
+            responses.append(Response(increment, moving))
+        if spec.clock != SampleClockSpec():
+            responses[:] = tag_responses(t, responses, spec.clock, self._draws.part("clock"))
+        for number, (increment, moving) in enumerate(responses):
+            triad, part = self._triads[number]
+            knots, bias, white = self._errors[number]
             out, rest = np.empty((1, 3)), part.keep("rest", lambda: np.zeros(3))
             imu.measure_kernel(
                 self._t, k, increment, self._M[number], knots, bias, white[k : k + 1],
-                self._walks[number], triad.quantization, moving, triad.range, rest, out, valid,
+                self._walks[number], triad.quantization, triad.resolution, moving, triad.range, rest,
+                out, valid,
             )  # fmt: skip
             found.append(out)
         if spec.accel_cone > 0:
@@ -108,18 +114,19 @@ class SampledImu:
         """Draw the errors until the next knot of the bias."""
         t = np.arange(self._row, self._row + self._width + 1) / self._rate
         rows, spec = imu.select_knots(t, imu.BIAS_STEP), self._spec
-        warmth = np.empty(0)
-        if max(spec.gyro.temperature_sd, spec.accel.temperature_sd) > 0:
+        warmth = np.empty((0, 3))
+        if spec.warms:
             around, thermal = float(air[1]), spec.thermal
             start = around if self._warm is None else self._warm
             warm = apply_lag(t[rows], np.full(2, around + thermal.self_heating), start, thermal.time_constant)
-            self._warm, warmth = float(warm[-1]), warm - thermal.reference
+            self._warm, warmth = float(warm[-1]), imu_terms.list_warmth(warm, thermal, self._draws)
         self._t, self._errors = t, []
         for triad, part in self._triads:
             knots, bias = imu.draw_bias(t, triad, rows, warmth, part)
             white = _NONE
             if triad.random_walk > 0:
-                white = part.stream("white").standard_normal((self._width, 3))
+                white = np.empty((self._width, 3))
+                imu.fill_noise(triad, float(t[1] - t[0]), part, white)
             self._errors.append((knots, bias, white))
 
     def _shake(self, motion: SampleMotion, air: FloatArray) -> tuple[FloatArray, FloatArray]:

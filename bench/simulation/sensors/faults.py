@@ -130,8 +130,8 @@ def evaluate_rates(t: FloatArray, faults: Iterable[Fault], width: int) -> FloatA
 def apply_to_imu(record: ImuData, spec: ImuSpec, faults: Faults, draws: SensorDraws) -> ImuData:
     """Apply the faults of an IMU; return the same record if there are none.
 
-    Steps and bursts are rounded to the resolution, with the remainder carried to the next sample. A sample
-    beyond the range is clipped and flagged.
+    Steps and bursts are rounded as the IMU rounds, with or without the remainder of the sample before. A
+    sample beyond the range is clipped and flagged.
     """
     if not any(fault.sensor in ("imu", "gyro", "accel") for fault in faults):
         return record
@@ -166,6 +166,9 @@ def _apply_to_triad(
             added = np.where(affected[:, None], np.diff(whole, axis=0, prepend=before[None]), 0.0)
             before[:] = whole[-1] if len(whole) else before
         increment += added
+        if spec.resolution > 0:
+            step = spec.resolution * dt
+            increment = np.where(affected[:, None], step * np.rint(increment / step), increment)
         if spec.range > 0:
             most = spec.range * dt
             beyond = affected & (np.abs(increment) > most).any(axis=1)

@@ -54,8 +54,8 @@ def measure(
     Returns
     -------
     fixes : GnssFixes
-        At t = 1/rate, 2/rate, ... The reported covariance is that of white and Markov errors, with standard
-        deviations divided by ``optimism``. It does not include the jumps, nor the lag of `find_lag`.
+        At t = 1/rate, 2/rate, ... The reported covariance is that of white, Markov and smoothed errors, with
+        standard deviations divided by ``optimism``. It does not include the jumps, nor the lag of `find_lag`.
 
     Raises
     ------
@@ -79,6 +79,9 @@ def measure(
     of_pos, of_vel = draws.part("position"), draws.part("velocity")
     pos_err_n = _draw_white("white", len(t), pos_white_sd, of_pos)
     pos_err_n += _draw_markov(pos_decayed, pos_markov_sd, of_pos)
+    pos_smooth_sd = np.array([spec.pos_h_smooth_sd, spec.pos_h_smooth_sd, spec.pos_v_smooth_sd])
+    if pos_smooth_sd.any():
+        pos_err_n += _draw_markov(steps / spec.smooth_time, pos_smooth_sd, of_pos.part("smooth"))
     vel_err_n = _draw_white("white", len(t), vel_white_sd, of_vel)
     vel_err_n += _draw_markov(vel_decayed, vel_markov_sd, of_vel)
     if spec.jumps:
@@ -95,14 +98,14 @@ def measure(
         pos_added, vel_added = faults.compute_fix_errors(t, spec, scripted, root)
         pos_err_n, vel_err_n = pos_err_n + pos_added, vel_err_n + vel_added
 
-    count = len(t)
+    count, pos_var = len(t), pos_white_sd**2 + pos_markov_sd**2 + pos_smooth_sd**2
     fixes = GnssFixes(
-        t=t,
-        t_arrival=t + spec.latency,
+        t=t + spec.time_tag_error if spec.time_tag_error else t,
+        t_arrival=_find_arrival(t, spec, draws),
         valid=np.ones(count, bool),
         lla=earth.displace(lla, pos_err_n),
         vel_n=vel_n + vel_err_n,
-        cov_pos_n=np.tile(np.diag(pos_white_sd**2 + pos_markov_sd**2) / spec.optimism**2, (count, 1, 1)),
+        cov_pos_n=np.tile(np.diag(pos_var) / spec.optimism**2, (count, 1, 1)),
         cov_vel_n=np.tile(np.diag(vel_white_sd**2 + vel_markov_sd**2) / spec.optimism**2, (count, 1, 1)),
         satellites=np.full(count, SATELLITES_UNKNOWN),
     )
@@ -212,6 +215,17 @@ def _lag_kernel(dt: FloatArray, dvel: FloatArray, damped: float, lag: FloatArray
             off, rate = lag[k, 0, i] - steady, lag[k, 1, i]
             lag[k + 1, 0, i] = steady + off * (c + s) + rate / damped * s
             lag[k + 1, 1, i] = rate * (c - s) - 2.0 * damped * off * s
+
+
+def _find_arrival(t: FloatArray, spec: GnssSpec, draws: SensorDraws) -> FloatArray:
+    """Return when the fixes at t (M,) arrive [s]: after the latency, in order, and not before their tags."""
+    arrival = t + spec.latency
+    if spec.latency_jitter > 0:
+        newest = draws.keep("arrived", lambda: np.full(1, -np.inf))
+        arrival = arrival + spec.latency_jitter * draws.stream("latency").random(len(t))
+        arrival = np.maximum.accumulate(np.concatenate([newest, arrival]))[1:]
+        newest[:] = arrival[-1:] if len(arrival) else newest
+    return np.maximum(arrival, t + spec.time_tag_error) if spec.time_tag_error > 0 else arrival
 
 
 def _draw_white(name: str, count: int, sd: FloatArray, draws: SensorDraws) -> FloatArray:

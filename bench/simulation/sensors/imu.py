@@ -2,9 +2,9 @@
 
 For each triad: motion at the sensors and their response (`motion_response.respond`), then
 ``(I + M) increment + bias dt + white noise`` and the errors of `imu_terms.draw_motion_errors` (A-5.1.8),
-clipping to the range, then quantization with the remainder carried to the next sample. M holds scale factor
-errors on its diagonal and misalignments off it. Every random term has its own stream, ``imu.<triad>.<term>``;
-a term that is off draws nothing.
+clipping to the range, then quantization with the remainder carried to the next sample, or rounding of the
+rate without it. M holds scale factor errors on its diagonal and misalignments off it. Every random term has
+its own stream, ``imu.<triad>.<term>``; a term that is off draws nothing.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from bench.core.compilation.compiled import kernel
 from bench.core.files import disk_arrays
 from bench.core.mathematics.arrays import BoolArray, FloatArray, IntArray
 from bench.core.records.data import ImuData, Trajectory
-from bench.core.records.sensor_specs import ImuSpec, TriadSpec
+from bench.core.records.sensor_specs import ImuSpec, SampleClockSpec, TriadSpec
 from bench.simulation.sensors import imu_terms, motion_response
 from bench.simulation.sensors.draws import SensorDraws
 from bench.simulation.sensors.processes import choose_bias_stages
@@ -37,15 +37,16 @@ class ImuBias(NamedTuple):
 @kernel
 def measure_kernel(
     t: FloatArray, first: int, increment: FloatArray, M: FloatArray, knots: IntArray, bias: FloatArray,
-    white: FloatArray, random_walk: FloatArray, lsb: float, motion_errors: FloatArray, limit: float,
-    rest: FloatArray, out: FloatArray, valid: BoolArray,
+    white: FloatArray, random_walk: FloatArray, lsb: float, resolution: float,
+    motion_errors: FloatArray, limit: float, rest: FloatArray, out: FloatArray, valid: BoolArray,
 ) -> None:  # fmt: skip
     """Fill out (K, 3) from the increments (K, 3) that begin at row ``first`` of t (N,).
 
     ``bias`` (B, 3) is that at rows knots (B,) of t. ``random_walk`` (3,) is by axis. ``white`` and
     ``motion_errors`` (K, 3) have no rows if the triad has no such errors. The bias is linear between knots,
     so its value in the middle of a sample, times dt, is its integral. A rate beyond ``limit`` (0: no limit)
-    is clipped and its row of ``valid`` cleared. ``rest`` (3,) is what rounding leaves for the next sample.
+    is clipped and its row of ``valid`` cleared. ``rest`` (3,) is what rounding to ``lsb`` leaves for the next
+    sample; what rounding of the rate to ``resolution`` leaves is lost.
     """
     noisy, moving = white.shape[0] > 0, motion_errors.shape[0] > 0
     j = 0
@@ -74,6 +75,8 @@ def measure_kernel(
                 wanted = value + rest[i]
                 value = lsb * np.rint(wanted / lsb)
                 rest[i] = wanted - value
+            if resolution > 0.0:
+                value = resolution * dt * np.rint(value / (resolution * dt))
             out[k, i] = value
 
 
@@ -94,7 +97,7 @@ def measure(truth: Trajectory, spec: ImuSpec, draws: SensorDraws) -> tuple[ImuDa
     imu : ImuData
         N - 1 samples; a sample with a sensor beyond its range is not valid.
     bias : ImuBias
-        Sum of turn-on bias, bias instability, rate random walk and temperature bias, at 20 Hz.
+        Sum of turn-on bias and transient, bias instability, rate random walk and temperature bias, at 20 Hz.
 
     Raises
     ------
@@ -109,12 +112,14 @@ def measure(truth: Trajectory, spec: ImuSpec, draws: SensorDraws) -> tuple[ImuDa
     np.subtract(t[1:], t[:-1], out=dt)
     valid = np.ones(len(t) - 1, bool)
     responses = motion_response.respond(truth, spec, draws, valid)
+    if spec.clock != SampleClockSpec():
+        responses = motion_response.tag_responses(t, responses, spec.clock, draws.part("clock"))
     slow_rows = select_knots(t, BIAS_STEP)
-    warmth = np.empty(0)  # above the reference temperature [K]
-    if max(spec.gyro.temperature_sd, spec.accel.temperature_sd) > 0:
+    warmth = np.empty((0, 3))  # as `imu_terms.list_warmth` returns it
+    if spec.warms:
         before = draws.keep("temperature", list[float])
-        warmth = imu_terms.compute_temperature(truth, slow_rows, spec.thermal, before)
-        warmth = warmth - spec.thermal.reference
+        temperature = imu_terms.compute_temperature(truth, slow_rows, spec.thermal, before)
+        warmth = imu_terms.list_warmth(temperature, spec.thermal, draws)
     measured, biases = [], []
     for part, response, triad in zip(("gyro", "accel"), responses, (spec.gyro, spec.accel), strict=True):
         increment, bias = _measure_triad(t, response, triad, slow_rows, warmth, draws.part(part), valid)
@@ -136,16 +141,16 @@ def _measure_triad(
     knots, bias = draw_bias(t, spec, slow_rows, warmth, draws)
     increment, motion_errors = response
     out, rest = disk_arrays.empty(increment.shape), draws.keep("rest", lambda: np.zeros(3))
-    noise = draws.stream("white") if spec.random_walk > 0 else None
-    memory = np.empty((0 if noise is None else min(len(out), disk_arrays.ROWS), 3))
+    noisy, interval = spec.random_walk > 0, float(t[1] - t[0])
+    memory = np.empty((min(len(out), disk_arrays.ROWS) if noisy else 0, 3))
     random_walk = spec.by_axis("random_walk")
     for rows in disk_arrays.blocks(len(out)):
         white = memory[: len(out[rows])]
-        if noise is not None:
-            noise.standard_normal(out=white)
+        if noisy:
+            fill_noise(spec, interval, draws, white)
         measure_kernel(
             t, rows.start, increment[rows], M, knots, bias, white, random_walk,
-            spec.quantization, motion_errors[rows], spec.range, rest, out[rows], valid[rows],
+            spec.quantization, spec.resolution, motion_errors[rows], spec.range, rest, out[rows], valid[rows],
         )  # fmt: skip
     return out, bias if knots is slow_rows else bias[slow_rows]  # else a knot is at every row
 
@@ -165,8 +170,8 @@ def draw_bias(
 ) -> tuple[IntArray, FloatArray]:
     """Draw the bias of a triad; return rows of t that include ``slow_rows``, and the bias (B, 3) there.
 
-    Rate random walk and temperature bias are computed at ``slow_rows`` and interpolated to faster rows. Those
-    at the first row of a further piece are the last of the piece before.
+    Rate random walk, temperature bias and transient are computed at ``slow_rows`` and interpolated to faster
+    rows. Those at the first row of a further piece are the last of the piece before.
     """
     knots = slow_rows
     last = draws.keep("last", list[FloatArray])
@@ -191,9 +196,14 @@ def draw_bias(
         walked = slow[-1].copy()
     else:
         walked = np.zeros(3)
-    if spec.temperature_sd > 0:
-        slow += warmth[:, None] * (spec.by_axis("temperature_sd") * draws.constant("temperature", 3))
-    if spec.rate_random_walk > 0 or spec.temperature_sd > 0:
+    for k, name in enumerate(("temperature", "temperature2", "hysteresis")):
+        if getattr(spec, f"{name}_sd") > 0:
+            slow += warmth[:, k, None] * (spec.by_axis(f"{name}_sd") * draws.constant(name, 3))
+    if spec.transient_sd > 0:
+        since = t[slow_rows, None] - draws.keep("switched on", lambda: float(t[0]))
+        size = spec.by_axis("transient_sd") * draws.constant("transient", 3)
+        slow += np.exp(-since / spec.transient_time) * size
+    if spec.has_slow_terms:
         if len(knots) > len(slow_rows):
             for axis, column in enumerate(slow.T):
                 bias[:, axis] += np.interp(t[knots[new:]], t[slow_rows], column)
@@ -222,3 +232,84 @@ def select_knots(t: FloatArray, step: float) -> IntArray:
     rows = np.arange(0, len(t) - 1 + stride, stride)
     rows[-1] = len(t) - 1
     return rows
+
+
+# --- noise through the filter of the bandwidth -------------------------------------------------------------
+
+
+class NoiseFilter(NamedTuple):
+    """White noise of density 1 through the filter of the bandwidth, from sample to sample."""
+
+    step: FloatArray  # (2, 2) transition of output and its rate over a sample
+    root: FloatArray  # (3, 3) root of the covariance of what a sample adds to both, and of its white noise
+    start: FloatArray  # (2,) standard deviations of output and its rate
+    cutoff: float  # [rad/s]
+    gain: float  # from a mean or value to white noise that has a variance of 1 at low frequencies
+
+
+def make_noise_filter(cutoff: float, interval: float, *, averaged: bool) -> NoiseFilter:
+    """Return the filter of the noise for a cutoff [rad/s] and a sampling interval [s].
+
+    Notes
+    -----
+    The filter is that of the motion, ``y'' = w^2 (u - y) - sqrt(2) w y'``, and its discretization is exact:
+    P = diag(w, w^3) / sqrt(8) is stationary, a sample adds P - step P step', and white noise W over a sample
+    has the covariance (1 - step) (1, 0)' with it. A mean of a sample is W less what the filter still holds.
+    The spectrum of the output is the sum of all aliases of the filtered noise. The aliases of a mean are 0 at
+    zero frequency; those of a sampled value raise its density there, which ``gain`` takes back.
+
+    Examples
+    --------
+    >>> wide = make_noise_filter(2 * np.pi * 1e4, 0.01, averaged=True)
+    >>> print(wide.root.round(4)[2].dot(wide.root[2]).round(4))  # variance of W
+    0.01
+    """
+    step = imu_terms.compute_oscillator_step(cutoff, float(np.sqrt(0.5)), interval)
+    start = np.sqrt(np.array([cutoff, cutoff**3]) / np.sqrt(8.0))
+    P = np.diag(start**2)
+    added = np.full((3, 3), interval)
+    added[:2, :2] = P - step @ P @ step.T
+    added[2, :2] = added[:2, 2] = (np.eye(2) - step)[:, 0]
+    size = np.sqrt(np.diag(added))
+    values, vectors = np.linalg.eigh(added / np.outer(size, size))
+    root = size[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+    gain = 1.0 / np.sqrt(interval)
+    if not averaged:
+        lagged = step @ np.linalg.inv(np.eye(2) - step) @ P  # sum of the covariances at all lags
+        gain *= interval / np.sqrt(interval * (P + 2.0 * lagged)[0, 0])
+    return NoiseFilter(step, root, start, cutoff, float(gain))
+
+
+def fill_noise(spec: TriadSpec, interval: float, draws: SensorDraws, out: FloatArray) -> None:
+    """Fill out (K, 3) with the noise of K samples over ``random_walk sqrt(interval)``."""
+    stream = draws.stream("white")
+    if spec.noise_shape == "white":
+        stream.standard_normal(out=out)
+        return
+    averaged = spec.noise_shape == "averaged"
+    cutoff = 2.0 * np.pi * spec.bandwidth
+    shape = draws.keep("noise filter", lambda: make_noise_filter(cutoff, interval, averaged=averaged))
+    state = draws.keep("noise", lambda: shape.start[:, None] * stream.standard_normal((2, 3)))
+    drive = stream.standard_normal((len(out), 3, 3))
+    shape_kernel(shape.step, shape.root, drive, shape.cutoff, shape.gain, averaged, state, out)
+
+
+@kernel
+def shape_kernel(
+    step: FloatArray, root: FloatArray, drive: FloatArray, cutoff: float, gain: float, averaged: bool,
+    state: FloatArray, out: FloatArray,
+) -> None:  # fmt: skip
+    """Fill out (K, 3) from unit noise ``drive`` (K, 3, 3); ``state`` (2, 3) is carried on."""
+    for axis in range(3):
+        y, dy = state[0, axis], state[1, axis]
+        for k in range(out.shape[0]):
+            a, b, c = drive[k, 0, axis], drive[k, 1, axis], drive[k, 2, axis]
+            y0, dy0 = y, dy
+            y = step[0, 0] * y0 + step[0, 1] * dy0 + root[0, 0] * a + root[0, 1] * b + root[0, 2] * c
+            dy = step[1, 0] * y0 + step[1, 1] * dy0 + root[1, 0] * a + root[1, 1] * b + root[1, 2] * c
+            if averaged:
+                white = root[2, 0] * a + root[2, 1] * b + root[2, 2] * c
+                out[k, axis] = gain * (white - ((dy - dy0) / cutoff + np.sqrt(2.0) * (y - y0)) / cutoff)
+            else:
+                out[k, axis] = gain * y
+        state[0, axis], state[1, axis] = y, dy

@@ -33,6 +33,12 @@ def check_imu(spec: ImuSpec) -> list[str]:
             )
         if triad.dead_zone_kind not in ("subtractive", "hard"):
             wrong.append(f"[{name}] dead_zone_kind = {triad.dead_zone_kind!r}: not subtractive or hard")
+        if triad.transient_sd > 0 and triad.transient_time <= 0:
+            wrong.append(f"[{name}] transient_sd needs transient_time_s above 0 s")
+        if triad.noise_shape not in ("white", "averaged", "sampled"):
+            wrong.append(f"[{name}] noise_shape = {triad.noise_shape!r}: not white, averaged or sampled")
+        elif triad.noise_shape != "white" and triad.bandwidth <= 0:
+            wrong.append(f"[{name}] noise_shape = {triad.noise_shape!r} needs bandwidth_hz above 0 Hz")
     if spec.accel.g_sensitivity_sd > 0 or spec.accel.g2_sensitivity_sd > 0:
         wrong.append("[accel] g_sensitivity_sd and g2_sensitivity_sd are for gyros; give quadratic_sd")
     if spec.accel_arms and np.shape(spec.accel_arms) != (3, 3):
@@ -197,7 +203,7 @@ def apply_response(t: FloatArray, increment: FloatArray, spec: TriadSpec, draws:
     if max(spec.delay, spec.bandwidth, spec.dead_zone) <= 0:
         return increment
     interval = draws.keep("interval", lambda: float(t[1] - t[0]))
-    if max(spec.delay, spec.bandwidth) > 0 and _largest_deviation(t, interval) > 1e-6 * interval:
+    if max(spec.delay, spec.bandwidth) > 0 and find_largest_deviation(t, interval) > 1e-6 * interval:
         raise ValueError("bandwidth and delay need samples of equal length")
     cutoff = 2 * np.pi * spec.bandwidth
     step = np.zeros((2, 2))
@@ -212,7 +218,7 @@ def apply_response(t: FloatArray, increment: FloatArray, spec: TriadSpec, draws:
     return out
 
 
-def _largest_deviation(t: FloatArray, interval: float) -> float:
+def find_largest_deviation(t: FloatArray, interval: float) -> float:
     """Return the largest difference of the sampling intervals from an interval [s]."""
     parts = (t[rows.start : rows.stop + 1] for rows in disk_arrays.blocks(len(t) - 1))
     return max(float(np.abs(np.diff(part) - interval).max()) for part in parts)
@@ -383,3 +389,38 @@ def compute_temperature(
     if before is not None:
         before[:] = [float(found[-1])]
     return found
+
+
+def list_warmth(temperature: FloatArray, spec: ThermalSpec, draws: SensorDraws) -> FloatArray:
+    """Return what the temperature biases of an IMU are proportional to, for its temperatures (B,) [K].
+
+    Returns
+    -------
+    warmth : (B, 3) array
+        Difference from the reference temperature [K], its square [K^2], and the hysteresis [1].
+
+    Notes
+    -----
+    The hysteresis r tends to 1 while the unit warms and to -1 while it cools, ``dr = (1 -+ r) |dT| / width``,
+    so that its loop is closed and does not depend on the speed of the change (Duhem's model). It is 0 at the
+    start. ``draws`` keeps it, and the temperature, for the next piece.
+    """
+    apart = temperature - spec.reference
+    state = draws.keep("hysteresis", lambda: np.array([temperature[0], 0.0]))
+    turned = np.empty(len(temperature))
+    hysteresis_kernel(temperature, spec.hysteresis, state, turned)
+    return np.column_stack([apart, apart**2, turned])
+
+
+@kernel
+def hysteresis_kernel(temperature: FloatArray, width: float, state: FloatArray, out: FloatArray) -> None:
+    """Fill out (B,); ``state`` (2,) is temperature and hysteresis before the first row, then at the last."""
+    last, r = state[0], state[1]
+    for k in range(len(temperature)):
+        change = temperature[k] - last
+        if change != 0.0:
+            towards = np.copysign(1.0, change)
+            r = towards - (towards - r) * np.exp(-abs(change) / width)
+        last = temperature[k]
+        out[k] = r
+    state[0], state[1] = last, r

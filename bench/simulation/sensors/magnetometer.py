@@ -12,6 +12,7 @@ from bench.core.mathematics.arrays import BoolArray, FloatArray
 from bench.core.records.data import Trajectory
 from bench.core.records.instruments import MagData, MagSpec
 from bench.core.records.sensor_specs import Fault, SensorsSpec
+from bench.core.words.exceptions import ConfigError
 from bench.simulation.sensors import faults
 from bench.simulation.sensors.draws import SensorDraws
 from bench.simulation.sensors.sampling import Sampler
@@ -42,8 +43,8 @@ def measure(
     Returns
     -------
     mag : MagData
-        ``(1 + M) C_bn field_n + hard iron + noise``. A sample with an axis beyond the range is clipped there
-        and not valid.
+        ``(1 + M) C_bn field_n + hard iron + motor field + noise``. A sample with an axis beyond the range is
+        clipped there and not valid.
     hard_iron_b : (3,) array
         The offset [T], b.
 
@@ -51,17 +52,38 @@ def measure(
     ------
     ValueError
         If the rate is above that of the truth, or there is no field model for the date.
+    ConfigError
+        If the motors have a field and the flight has no throttle.
     """
     samples = Sampler("mag", truth, spec, draws)
     rows = samples.rows
     outside_n = field_n(truth.lla[rows], date) + faults.compute_passed_magnets(samples.t, scripted)
     true_b = rotation.rotate(rotation.conjugate(truth.q_nb[rows]), outside_n)
     distortion, hard_iron_b = draw_calibration(samples, spec)
-    mag: MagData = samples.report(true_b + true_b @ distortion.T + hard_iron_b)
+    near_b = draw_motor_field(truth, samples, spec) + hard_iron_b
+    mag: MagData = samples.report(true_b + true_b @ distortion.T + near_b)
     if spec.range > 0:
         within: BoolArray = np.asarray((np.abs(mag.field_b) <= spec.range).all(axis=1))
         mag = replace(mag, valid=within, field_b=np.clip(mag.field_b, -spec.range, spec.range))
     return mag, hard_iron_b
+
+
+def draw_motor_field(truth: Trajectory, samples: Sampler, spec: MagSpec) -> FloatArray:
+    """Draw the field (M, 3) of the motor currents [T], b; (3,) zeros without it.
+
+    One vector times the throttle, as autopilots compensate it (ArduPilot, ArduCopter/compassmot.cpp).
+
+    Raises
+    ------
+    ConfigError
+        If the flight has no throttle.
+    """
+    if spec.motor_field_sd <= 0:
+        return np.zeros(3)
+    if not len(truth.controls):
+        raise ConfigError("[mag] motor_field_sd_nt needs the throttle, which this flight does not have")
+    throttle = np.interp(samples.t, truth.controls.t, truth.controls.throttle)
+    return throttle[:, None] * samples.draw("motor_field", spec.motor_field_sd, 3)
 
 
 def draw_calibration(samples: Sampler, spec: MagSpec) -> tuple[FloatArray, FloatArray]:

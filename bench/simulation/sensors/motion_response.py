@@ -3,11 +3,12 @@
 An IMU with an inner rate samples vibration by rotors in equal parts of its output interval. Positions of the
 accelerometers, delay, bandwidth, dead zone, errors that follow the motion and the range act on each part; the
 output is the sum, without a coning or sculling correction. White noise, biases and M act on the sum, and so
-does quantization: its remainder is carried, so it makes no difference.
+does quantization: its remainder is carried, so it makes no difference. An imperfect clock tags the responses.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +17,7 @@ from bench.core.compilation.compiled import kernel
 from bench.core.files import disk_arrays
 from bench.core.mathematics.arrays import BoolArray, FloatArray
 from bench.core.records.data import Trajectory
-from bench.core.records.sensor_specs import ImuSpec, TriadSpec
+from bench.core.records.sensor_specs import ImuSpec, SampleClockSpec, TriadSpec
 from bench.core.words.exceptions import ConfigError
 from bench.simulation.sensors import imu_terms, vibration
 from bench.simulation.sensors.draws import SensorDraws
@@ -143,3 +144,89 @@ def sum_kernel(
                 out[k, i] += value - follows
                 if moving:
                     wrong[k, i] += follows
+
+
+# --- clock --------------------------------------------------------------------------------------------------
+
+
+def tag_responses(
+    t: FloatArray, responses: Sequence[Response], spec: SampleClockSpec, draws: SensorDraws
+) -> tuple[Response, Response]:
+    """Return the responses (K, 3) of both triads as the clock of the IMU tags them, see `tag_samples`."""
+    parts = [part for response in responses for part in response if len(part)]
+    tagged = tag_samples(t, np.hstack(parts), spec, draws)
+    columns = iter(np.hsplit(tagged, len(parts)))
+    found = [[np.ascontiguousarray(next(columns)) if len(part) else part for part in r] for r in responses]
+    return Response(*found[0]), Response(*found[1])
+
+
+def tag_samples(t: FloatArray, columns: FloatArray, spec: SampleClockSpec, draws: SensorDraws) -> FloatArray:
+    """Return the increments (K, n) of samples that an imperfect clock tags with t (K + 1,).
+
+    Parameters
+    ----------
+    t : (K + 1,) array
+        Time tags at the ends of the samples [s].
+    columns : (K, n) array
+        Increments over the intervals between them.
+    spec : SampleClockSpec
+        The clock: a sample tagged t was taken at ``t - drift (t - t_0) - jitter``.
+    draws : SensorDraws
+        Has the stream "jitter", and the increments that later samples need.
+
+    Returns
+    -------
+    tagged : (K, n) array
+        Mean rate between two samples times the interval between their tags, as of a unit that measures rates.
+
+    Raises
+    ------
+    ValueError
+        If the samples differ in length, or the jitter is above 0.9 of it: samples would change their order.
+    """
+    interval = draws.keep("interval", lambda: float(t[1] - t[0]))
+    if imu_terms.find_largest_deviation(t, interval) > 1e-6 * interval:
+        raise ValueError("[clock] needs samples of equal length")
+    if spec.jitter > 0.9 * interval:
+        raise ValueError(
+            f"[clock] jitter_us = {1e6 * spec.jitter:g} us must be at most 0.9 of the sampling interval, "
+            f"{1e6 * interval:g} us"
+        )
+    begin = draws.keep("begin", lambda: float(t[0]))
+    ends, before = draws.keep("held", lambda: (t[:1], columns[:0]))
+    late = spec.drift * (t[1:] - begin)
+    if spec.jitter > 0:
+        late = late + spec.jitter * draws.stream("jitter").random(len(late))
+    taken = np.concatenate([draws.keep("taken", lambda: t[:1].copy()), t[1:] - late])
+    ends, rows = np.concatenate([ends, t[1:]]), np.concatenate([before, columns])
+    out = disk_arrays.empty(columns.shape)
+    tag_kernel(ends, rows, taken, t, out)
+    kept = max(0, int(np.searchsorted(ends, taken[-1], side="right")) - 2)
+    draws.put("held", (ends[kept:].copy(), rows[kept:].copy()))
+    draws.put("taken", taken[-1:].copy())
+    return out
+
+
+@kernel
+def tag_kernel(t: FloatArray, rows: FloatArray, taken: FloatArray, tags: FloatArray, out: FloatArray) -> None:
+    """Fill out (K, n) from rows (H, n) between t (H + 1,), for samples taken and tagged at (K + 1,) times.
+
+    Within a row the rate is linear, so that this row and the one before have their increments.
+    """
+    j = 0
+    for k in range(out.shape[0]):
+        while t[j + 1] <= taken[k]:
+            j += 1
+        last = j
+        while t[last + 1] < taken[k + 1]:
+            last += 1
+        scale = (tags[k + 1] - tags[k]) / (taken[k + 1] - taken[k])
+        begin = (taken[k] - t[j]) / (t[j + 1] - t[j])
+        end = (taken[k + 1] - t[last]) / (t[last + 1] - t[last])
+        for i in range(out.shape[1]):
+            before, after = rows[max(j - 1, 0), i], rows[max(last - 1, 0), i]
+            total = end * rows[last, i] - 0.5 * end * (1.0 - end) * (rows[last, i] - after)
+            total -= begin * rows[j, i] - 0.5 * begin * (1.0 - begin) * (rows[j, i] - before)
+            for row in range(j, last):
+                total += rows[row, i]
+            out[k, i] = scale * total

@@ -21,6 +21,28 @@ from bench.simulation.sampled.sample_flight import SampleFlight
 from bench.simulation.sensors.draws import SensorDraws
 from tests.plugins.hil.test_serve import write_straight
 
+AS_IT_IS = """
+source = "by hand"
+[gyro]
+noise_deg_sqrt_h = 0.3
+noise_shape = "averaged"
+bandwidth_hz = 80.0
+transient_sd_deg_h = 100.0
+transient_time_s = 2.0
+hysteresis_sd_deg_h = 40.0
+temperature2_sd_deg_h_k2 = 1.0
+[accel]
+noise_ug_sqrt_hz = 100.0
+noise_shape = "sampled"
+bandwidth_hz = 50.0
+resolution_mg = 0.1
+[thermal]
+self_heating_k = 10.0
+time_constant_s = 3.0
+[clock]
+drift_ppm = 100.0
+jitter_us = 500.0
+"""
 LEVEL = SurfaceCommand(0.0, 0.0, 0.0, 0.5)
 
 
@@ -76,9 +98,13 @@ def test_a_command_moves_the_aircraft_before_the_next_but_one_sample(rate):
             400.0,
             1e-8,
         ),  # its temperature drifts
+        ({"sensors.imu": "AS_IT_IS"}, 400.0, 1e-8),
     ],
 )
 def test_what_is_measured_sample_by_sample_is_what_is_recorded(changes, rate, held, tmp_path):
+    if "AS_IT_IS" in changes.values():
+        (tmp_path / "unit.toml").write_text(AS_IT_IS)
+        changes = {"sensors.imu": str(tmp_path / "unit.toml")}
     changes = {"evaluation.from_s": 1.0, **changes}
     profile = config.read_profile(write_straight(tmp_path / "straight.toml", 20.0), changes)
     motions, measured, truth = fly(

@@ -7,7 +7,8 @@ from collections.abc import Iterable
 import numpy as np
 
 from bench.core.records.orbit_sets import GPS, SYSTEM_NAMES
-from bench.core.records.sensor_specs import AssumedSpecs, SkySpec
+from bench.core.records.sensor_specs import AssumedSpecs
+from bench.core.records.sky_spec import SkySpec
 from bench.navigation.error_state_filter.ranges.ionosphere_anchors import ANCHORS
 from bench.navigation.error_state_filter.state_processes import Block, States, assumed
 from bench.simulation.signals.orbits import C

@@ -22,7 +22,7 @@ from bench.core.compilation.compiled import find_address, inner, make_caller, ty
 from bench.core.mathematics.arrays import FloatArray, IntArray
 from bench.core.mathematics.earth import WGS84, radii_kernel
 from bench.core.records.data import GnssObservations
-from bench.core.records.sensor_specs import SkySpec
+from bench.core.records.sky_spec import SkySpec
 from bench.navigation.engine.session import Growing, require, require_rows
 from bench.navigation.error_state_filter.antenna_rows import antenna_rows_kernel
 from bench.navigation.error_state_filter.measurement_rows import (

@@ -7,7 +7,7 @@ import numpy as np
 from bench.core.compilation.compiled import kernel
 from bench.core.mathematics.arrays import FloatArray, IntArray
 from bench.core.records.data import Trajectory
-from bench.core.records.sensor_specs import SkySpec
+from bench.core.records.sky_spec import SkySpec
 from bench.simulation.sensors.draws import SensorDraws
 from bench.simulation.sensors.gnss import rate_at
 from bench.simulation.signals import allan

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from bench.core.mathematics.arrays import FloatArray, IntArray
-from bench.core.records.sensor_specs import Fault, SkySpec
+from bench.core.records.sensor_specs import Fault
+from bench.core.records.sky_spec import SkySpec
 from bench.simulation.signals.orbits import C
 from bench.simulation.signals.processing import ErrorBudget, Processing
 

@@ -19,7 +19,8 @@ from bench.core.mathematics.arrays import BoolArray, FloatArray, IntArray
 from bench.core.records.data import GnssFixes, GnssObservations, Trajectory
 from bench.core.records.orbit_sets import SYSTEM_NAMES
 from bench.core.records.run_records import SkyView
-from bench.core.records.sensor_specs import Fault, GnssSpec, SkySpec
+from bench.core.records.sensor_specs import Fault, GnssSpec
+from bench.core.records.sky_spec import SkySpec
 from bench.simulation.sensors import faults
 from bench.simulation.sensors.draws import SensorDraws
 from bench.simulation.sensors.gnss import find_lag

@@ -12,7 +12,7 @@ from bench.core.mathematics import earth, rotation
 from bench.core.mathematics.arrays import BoolArray, FloatArray, IntArray
 from bench.core.records.data import Trajectory
 from bench.core.records.orbit_sets import GLONASS, GlonassSets, KeplerSets
-from bench.core.records.sensor_specs import SkySpec
+from bench.core.records.sky_spec import SkySpec
 from bench.simulation.sensors.draws import SensorDraws
 from bench.simulation.sensors.gnss import compute_antenna_motion
 from bench.simulation.signals import orbits
