@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from bench.core.records.sensor_specs import ThermalSpec
 from bench.core.words.exceptions import ConfigError
 from bench.experiments.studies.unit_study.catalog_units import find_typical
 from bench.io.config.datasheets import SENSORS, read_gnss, read_imu
-from bench.io.config.figure_table import tabulate_figures
+from bench.io.config.figure_table import ASSUMED, MARKS, mark_figure, tabulate_figures
 from bench.simulation.sensors import imu
 from bench.simulation.sensors.draws import SensorDraws
 from tests.synthetic import still
@@ -24,13 +25,13 @@ from tests.synthetic import still
 CATALOG = Path(bench.__file__).parent / "catalog"
 FILES = sorted(CATALOG.glob("*/*.toml"))
 TABLES = {
-    "imu": ("gyro", "accel", "thermal", "vibration", "clock", "layout"),
+    "imu": ("gyro", "accel", "thermal", "vibration", "clock", "layout", "product"),
     "gnss": ("gnss", "sky"),
     **{name: (name, *row.parts) for name, row in INSTRUMENTS.items()},
 }
 CHOICES = (
     "bias_model", "dead_zone_kind", "noise_shape",
-    "start", "almanac", "navigation", "klobuchar", "systems", "bands", "false_alarm",
+    "price_date", "start", "almanac", "navigation", "klobuchar", "systems", "bands", "false_alarm",
 )  # fmt: skip
 CLASSES = ("consumer", "industrial", "tactical", "navigation", "synthetic")
 DEG = np.pi / 180
@@ -61,6 +62,45 @@ def test_every_figure_has_a_source_or_is_marked_assumed(path):
     assert entry["class"] in CLASSES
     if entry["class"] == "synthetic":
         assert not sourced
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: f"{path.parent.name}/{path.stem}")
+def test_what_was_read_names_its_page_and_its_document(path):
+    """A file whose datasheet was read names the document; each figure of an IMU names its page."""
+    sheet = document(path)
+    names = [f"{table}.{key}" for table in TABLES[path.parent.name] for key in sheet.get(table, {})]
+    marks = {name: mark_figure(sheet, name) for name in names if name.partition(".")[2] not in CHOICES}
+    assert set(marks.values()) <= {"", *MARKS}
+    assert all((mark == ASSUMED) == (name in sheet.get("assumed", [])) for name, mark in marks.items())
+    if sheet.get("confidence") == "datasheet":
+        assert re.search(r"\d", sheet["source"])
+    if sheet.get("confidence") == "datasheet" and path.parent.name == "imu":
+        read = [name for name, mark in marks.items() if not mark]
+        assert all(re.match(r"p\. \d", sheet["sources"][name]) for name in read)
+        assert len(read) >= 10
+    if sheet.get("confidence") == "quoted":
+        assert "" not in marks.values()
+
+
+def test_eleven_imus_were_read_and_36_are_there():
+    units = [document(path) for path in FILES if path.parent.name == "imu"]
+    assert len(units) >= 36
+    assert sum(unit.get("confidence") == "datasheet" for unit in units) >= 11
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("price_usd = 20.0", "[product] price_usd needs price_date"),
+        ("mass_kg = 0.0", "mass_kg = 0 kg is outside 1e-06 to 1000 kg"),
+        ("weight_g = 3.0", "unknown key 'weight_g'"),
+    ],
+)
+def test_a_wrong_product_says_what_would_be_right(tmp_path, text, message):
+    (tmp_path / "bad.toml").write_text(f'source = "by hand"\n[product]\n{text}\n')
+    with pytest.raises(ConfigError) as caught:
+        read_imu(tmp_path / "bad.toml", "bad.toml")
+    assert message in str(caught.value)
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: f"{path.parent.name}/{path.stem}")
@@ -254,7 +294,7 @@ def test_the_long_list_has_every_figure_in_one_unit(capsys):
     assert main(["list", "sensors", "--long"]) == 0
     shown = capsys.readouterr().out
     assert "zed-f9p" in shown
-    assert "* assumed" in shown
+    assert "* typical of the class" in " ".join(shown.split())
     assert main(["list", "profiles", "--long"]) == 2
 
 

@@ -121,6 +121,33 @@ def test_a_unit_that_lost_a_draw_is_never_recommended(tmp_path):
     assert found.figures[0].series[1].labels == ("lost",), "of the other no error is known"
 
 
+def test_of_those_that_meet_the_smallest_the_lightest_and_the_cheapest_are_named(tmp_path):
+    """By hand: a is the smallest of all but misses; b is 10 x 20 x 30 mm, c lighter; d has no size."""
+    names = write(tmp_path, a="consumer", b="industrial", c="industrial", d="tactical")
+    products = (
+        "length_mm = 1.0\nwidth_mm = 1.0\nheight_mm = 1.0\nmass_kg = 0.001\n",
+        "length_mm = 30.0\nwidth_mm = 20.0\nheight_mm = 10.0\nmass_kg = 0.05\npower_w = 1.5\n",
+        "length_mm = 40.0\nwidth_mm = 20.0\nheight_mm = 10.0\nmass_kg = 0.04\n",
+        "price_usd = 900.0\nprice_date = 2026-03-01\n",
+    )
+    for name, text in zip(names, products, strict=True):
+        with Path(name).open("a") as file:
+            file.write(f"[product]\n{text}")
+    sizes = {"a": 20.0, "b": 4.0, "c": 4.0, "d": 4.0}
+    law = Flights(lambda unit, run, filled: sizes[unit])
+    found, _ = ask(names, law, most=10.0, runs=73, max_runs=73)
+    (told,) = [one.replace(f"{tmp_path}/", "") for one in found.verdicts if "of the 3 units" in one]
+    assert told.partition(": ")[2] == (
+        "smallest b.toml (6 cm^3, of 2), lightest c.toml (0.04 kg, of 2), least power b.toml (1.5 W, of 1), "
+        "cheapest by its price d.toml (900 USD, of 1); without a size: d.toml."
+    )
+    table = next(one for one in found.tables if one.name == "products").columns
+    assert table["volume_cm3"] == pytest.approx([1e-3, 6.0, 8.0, None])
+    bare, _ = ask(write(tmp_path, a="consumer"), Flights(steady(a=1.0)), most=10.0)
+    assert not any("units that meet it" in one for one in bare.verdicts)
+    assert all(one.name != "products" for one in bare.tables)
+
+
 @pytest.mark.parametrize("size", [0.999, 1.001])
 def test_a_requirement_that_is_just_met_or_just_missed(tmp_path, size):
     """73 of 73 runs show 95 % while runs are added; the cheaper class errs twice as much."""
@@ -326,7 +353,7 @@ def test_what_is_typical_of_a_class_is_the_median_of_its_units():
     assert (bias.key, bias.value, bias.assumed) == ("gyro.bias_instability_deg_h", 5.0, True)
     assert (correlation.key, correlation.value) == ("gyro.bias_correlation_s", 300.0)
     (noise,) = find_typical("tactical", "gyro", "noise")
-    known = [0.01, 0.125, 0.04, 0.012, 0.07, 0.15]  # deg/sqrt(h) of the six
+    known = [0.01, 0.125, 0.04, 0.05, 0.06, 0.012, 0.07, 0.15]  # deg/sqrt(h) of the eight
     assert len(noise.units) == len(known)
     assert not noise.assumed
     assert noise.value * (60.0 if noise.key.endswith("sqrt_hz") else 1.0) == pytest.approx(np.median(known))

@@ -31,7 +31,7 @@ from bench.io.config.library import ForeignTable
 from bench.io.config.listing import KeyEntry, list_legs
 from bench.io.config.log_tables import FileTable, LogTable
 from bench.io.config.profile_tables import AntennaTable, ProfileTable, ScriptTable, TrackTable
-from bench.io.config.sheet import MOST, Sheet, SpecTable
+from bench.io.config.sheet import MOST, ProductTable, Sheet, SpecTable
 from bench.io.config.sky_sheet import SkyTable
 from bench.io.config.tables import Range
 from bench.io.exports import FORMATS
@@ -352,7 +352,10 @@ TABLES: Mapping[str, Mapping[str, Callable[[], Lines]]] = {
     },
     "faults": {"faults": write_faults},
     "sensors": {
-        "all datasheets": lambda: write_keys("key", list_keys(Sheet)),
+        "all datasheets": lambda: (
+            *write_keys("key", list_keys(Sheet)),
+            *write_keys("key of `[product]`", list_keys(ProductTable)),
+        ),
         "imu": write_imu,
         "gnss": lambda: write_keys("key of `[gnss]`", list_figures(GnssSpec)),
         "sky": lambda: write_keys(

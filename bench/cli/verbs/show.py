@@ -17,7 +17,7 @@ from bench.core.records.specs import Profile
 from bench.core.words.notebook import ShownFigure
 from bench.core.words.wording import one_line
 from bench.io import config
-from bench.io.config.figure_table import ASSUMED, tabulate_figures
+from bench.io.config.figure_table import MARKS, tabulate_figures
 from bench.io.config.listing import KINDS, CatalogEntry, KeyEntry
 from bench.navigation.built_in import BUILT_IN
 from bench.simulation.signals.terrain import read_grid
@@ -213,7 +213,8 @@ def print_sensors(console: Console) -> None:
             for name, cells in figures.items()
         }
         print_table(console, FindingTable(kind, kind, columns))
-    text = f"{ASSUMED} assumed, no source states it; - absent, the model lacks this error."
+    marks = "; ".join(f"{mark.strip()} {words}" for mark, words in MARKS.items())
+    text = f"{marks}; unmarked: read in the datasheet; - absent, the model lacks this error."
     console.print(text, soft_wrap=True)
 
 

@@ -86,6 +86,8 @@ ENDINGS: Mapping[str, Unit] = {
     "_deg_e7": Unit("deg_e7", 1e-7 * DEG),
     "_100us": Unit("100us", 1e-4),
     "_g": Unit("g", _G),
+    "_kg": Unit("kg"),
+    "_w": Unit("W"),
     "_hz": Unit("Hz"),
     "_pa": Unit("Pa"),
     "_nt": Unit("nT", 1e-9),

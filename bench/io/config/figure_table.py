@@ -16,6 +16,14 @@ from bench.io.config.toml_file import read_toml
 
 ASSUMED = "*"
 """Follows a figure that no source states."""
+MARKS: Mapping[str, str] = {
+    ASSUMED: "typical of the class, no source states it",
+    " f": "front page of the datasheet",
+    " m": "another page of the maker",
+    " q": "quoted by others",
+    " t": "table of grades",
+}
+"""What follows a figure that was not read in its datasheet -> where it is from."""
 
 _TRIADS = ("gyro", "accel")
 _GRADES = ("navigation", "tactical", "industrial", "consumer")
@@ -26,8 +34,8 @@ def tabulate_figures(kind: str) -> dict[str, list[str]]:
     """Return columns of the sensors of a kind: name, class, and each figure that any of them has.
 
     Figures of triads are in the first unit that a file may use, others in that of the files. "-": absent,
-    the model then lacks the error; :data:`ASSUMED` marks what no source states. Of figures by axis the root
-    mean square is shown. The best class comes first.
+    the model then lacks the error; :data:`MARKS` follow what was not read in the datasheet. Of figures by
+    axis the root mean square is shown. The best class comes first.
     """
     sheets = {name: read_toml(path, path.name) for name, (path, _) in find_sheets(kind).items()}
     names = sorted(sheets, key=lambda name: (_rank(sheets[name]), name))
@@ -55,7 +63,6 @@ def _place(head: str) -> tuple[int, int, str]:
 
 def _list_figures(sheet: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     """Yield ``table.key`` and text of each number of a datasheet."""
-    assumed = sheet.get("assumed", ())
     for table, values in sheet.items():
         if not isinstance(values, Mapping) or table == "sources":
             continue
@@ -65,9 +72,31 @@ def _list_figures(sheet: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
                 continue
             size = float(parts[0]) if len(parts) == 1 else float(np.sqrt(np.mean(np.square(parts))))
             shown = _find_unit(table, key)
-            mark = ASSUMED if f"{table}.{key}" in assumed else ""
+            mark = mark_figure(sheet, f"{table}.{key}")
             text = format_number(size if shown == key else from_si(shown, to_si(key, size)), _DIGITS)
             yield f"{table}.{shown}", text + mark
+
+
+def mark_figure(sheet: Mapping[str, Any], name: str) -> str:
+    """Return the mark of :data:`MARKS` of a figure ``table.key`` of a datasheet; empty if it was read there.
+
+    The source of the figure counts, then the confidence of the file.
+
+    Examples
+    --------
+    >>> sheet = {"confidence": "datasheet", "sources": {"gyro.range_deg_s": "front page: +-500 deg/s"}}
+    >>> mark_figure(sheet, "gyro.range_deg_s")
+    ' f'
+    """
+    if name in sheet.get("assumed", ()):
+        return ASSUMED
+    source = str(sheet.get("sources", {}).get(name, ""))
+    if "quot" in source:
+        return " q"
+    if source.startswith("front page"):
+        return " f"
+    known = {"front page": " f", "maker": " m", "quoted": " q", "table": " t"}
+    return known.get(str(sheet.get("confidence")), "")
 
 
 def _find_unit(table: str, key: str) -> str:

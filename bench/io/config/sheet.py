@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from datetime import date
 from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, create_model
@@ -20,6 +21,32 @@ MOST = 1e6  # no known figure is larger, in any unit
 Figure = Annotated[float, between(0, MOST)]
 
 
+class ProductTable(Table):
+    """Size, mass, power and price of a sensor; what the maker does not print is left out."""
+
+    length_mm: Annotated[float, between(0.1, 5000)] | None = None
+    """Longest side."""
+    width_mm: Annotated[float, between(0.1, 5000)] | None = None
+    """Second side."""
+    height_mm: Annotated[float, between(0.1, 5000)] | None = None
+    """Third side."""
+    mass_kg: Annotated[float, between(1e-6, 1000)] | None = None
+    """Mass."""
+    power_w: Annotated[float, between(1e-6, 1000)] | None = None
+    """Typical power."""
+    price_usd: Annotated[float, between(0.01, 1e7)] | None = None
+    """Price of one, printed by the maker."""
+    price_date: date | None = None
+    """Day of this price."""
+
+    @property
+    def volume(self) -> float | None:
+        """Product of the three sides [cm^3]; None if one of them is left out."""
+        if self.length_mm is None or self.width_mm is None or self.height_mm is None:
+            return None
+        return 1e-3 * self.length_mm * self.width_mm * self.height_mm
+
+
 class Sheet(Table):
     """A datasheet and the sources of its figures."""
 
@@ -31,6 +58,8 @@ class Sheet(Table):
     """Kind of the source."""
     source: str
     """Source of the values."""
+    product: ProductTable = ProductTable()
+    """A table: size, mass, power, price."""
     sources: dict[str, str] = Field(default_factory=dict)
     """A table: sources of single figures, by "table.key"."""
     assumed: list[str] = Field(default_factory=list)
@@ -82,10 +111,18 @@ def check_figures(spec: type, table: Table, name: str) -> list[str]:
 
 
 def check_sources(sheet: Sheet, document: Mapping[str, Any]) -> list[str]:
-    """Return one line for each name in ``sources`` or ``assumed`` that is not a figure of the file."""
-    tables = [key for key in document if key not in Sheet.model_fields and isinstance(document[key], dict)]
-    figures = {f"{table}.{key}" for table in tables for key in document[table]}
-    return [
+    """Return one line for each name in ``sources`` or ``assumed`` that is not a figure of the file.
+
+    And one for a price without its day.
+    """
+    figures = {
+        f"{table}.{key}"
+        for table, values in document.items()
+        if isinstance(values, dict) and (table == "product" or table not in Sheet.model_fields)
+        for key in values
+    }
+    undated = sheet.product.price_usd is not None and sheet.product.price_date is None
+    return ["[product] price_usd needs price_date: prices change"] * undated + [
         f"{where}: {name!r} is not a figure of this file"
         for where, names in {"[sources]": sheet.sources, "assumed": sheet.assumed}.items()
         for name in names

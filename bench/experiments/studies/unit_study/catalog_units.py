@@ -21,10 +21,11 @@ from bench.core.words.exceptions import ConfigError
 from bench.io.config.datasheets import read_imu
 from bench.io.config.library import find_datasheet
 from bench.io.config.listing import CATALOG, list_missing_figures
+from bench.io.config.sheet import ProductTable
 from bench.io.config.toml_file import read_toml
 
 CLASSES = ("consumer", "industrial", "tactical", "navigation")
-"""Classes of IMUs, from cheap to dear. The catalog has no prices."""
+"""Classes of IMUs, from cheap to dear."""
 
 _INCOMPLETE = ("kvh-dsp-1760",)  # gyros without accelerometers
 LIMITS = ("range", "bandwidth", "quantization")
@@ -48,6 +49,7 @@ class CatalogImu(NamedTuple):
     grade: str  # of `CLASSES`; "synthetic" or "" stand outside of them
     absent: tuple[str, ...]  # figures, in words, that no source states and that are zero in its model
     typical: tuple[Typical, ...]  # of them, those that units of its class have
+    product: ProductTable = ProductTable()
 
     @property
     def filled(self) -> dict[str, Any]:
@@ -90,7 +92,8 @@ def _find_unit(name: str) -> CatalogImu:
     document = read_toml(path, shown)
     grade = str(document.get("class", ""))
     absent = tuple(list_missing_figures("imu", document))
-    return CatalogImu(name, grade, absent, tuple(_fill_gaps(grade, absent)))
+    product = ProductTable.model_validate(document.get("product", {}))  # checked above
+    return CatalogImu(name, grade, absent, tuple(_fill_gaps(grade, absent)), product)
 
 
 def _fill_gaps(grade: str, absent: Sequence[str]) -> Iterator[Typical]:

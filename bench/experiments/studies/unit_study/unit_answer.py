@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,6 +10,7 @@ import numpy as np
 
 from bench.core.records.findings import FindingTable, make_table, series
 from bench.core.records.findings.series import Plot, Series
+from bench.core.words.wording import format_number
 from bench.evaluation.ensembles.ensemble import estimate_quantile, qualify
 from bench.evaluation.metrics.run_metrics import find_metric
 from bench.evaluation.requirements.required_metrics import EVERY, describe_limit
@@ -18,6 +19,7 @@ from bench.experiments.studies.study import format_estimate
 from bench.experiments.studies.unit_study.catalog_units import CLASSES, CatalogImu
 from bench.experiments.studies.unit_study.unit_limits import VarianceShares
 from bench.experiments.studies.unit_study.unit_ranking import ClassStep, Ranking, UnitFlown
+from bench.io.config.sheet import ProductTable
 
 
 @dataclass(frozen=True)
@@ -71,7 +73,7 @@ class Answer:
 def tell_answer(answer: Answer, units: Mapping[str, CatalogImu]) -> Iterator[str]:
     """Yield the answer in sentences: recommendation, reasons, limits, and unusable IMUs."""
     ranking = answer.ranking
-    yield from _tell_required(answer) if answer.required else ()
+    yield from _tell_required(answer, units) if answer.required else ()
     yield f"{answer.where}, {answer.what}, cheapest class first: {'; '.join(_tell_steps(ranking))}."
     if ranking.alike:
         most = 100.0 * (ranking.spread - 1.0)
@@ -127,7 +129,7 @@ def _tell_pair(step: ClassStep) -> str:
     return f"{text}{more}"
 
 
-def _tell_required(answer: Answer) -> Iterator[str]:
+def _tell_required(answer: Answer, units: Mapping[str, CatalogImu]) -> Iterator[str]:
     ranking = answer.ranking
     asked = " and ".join(
         f"{row['metric']} {describe_limit(row)} in {100.0 * row['share']:g} % of the runs"
@@ -145,11 +147,38 @@ def _tell_required(answer: Answer) -> Iterator[str]:
         yield (
             f"{answer.where}: {found.best.unit} ({found.grade}) meets the requirement, {asked}{shown}.{maybe}"
         )
+        yield from tell_products(answer, units)
     for one in ranking.list_undecided():
         yield from (
             each.sentence.replace(f"{answer.label}:", f"{one.unit}, {answer.label}:", 1)
             for each in one.findings
         )
+
+
+def tell_products(answer: Answer, units: Mapping[str, CatalogImu]) -> Iterator[str]:
+    """Yield the smallest, lightest, most frugal and cheapest of the IMUs that meet the requirements.
+
+    Only datasheets with the figure take part; the sentence names the IMUs that meet and lack the size.
+    """
+    met = [name for name, one in answer.ranking.flown.items() if one.verdict == MET]
+    parts = []
+    for word, unit, take in _PRODUCT:
+        known = {name: size for name in met if (size := take(units[name].product)) is not None}
+        if known:
+            best = min(known, key=lambda name: known[name])
+            parts.append(f"{word} {best} ({format_number(known[best], 3)} {unit}, of {len(known)})")
+    if parts:
+        unknown = [name for name in met if units[name].product.volume is None]
+        rest = f"; without a size: {', '.join(unknown)}" if unknown else ""
+        yield f"{answer.where}, of the {len(met)} units that meet it: {', '.join(parts)}{rest}."
+
+
+_PRODUCT: Sequence[tuple[str, str, Callable[[ProductTable], float | None]]] = (
+    ("smallest", "cm^3", lambda product: product.volume),
+    ("lightest", "kg", lambda product: product.mass_kg),
+    ("least power", "W", lambda product: product.power_w),
+    ("cheapest by its price", "USD", lambda product: product.price_usd),
+)
 
 
 def find_margin(one: UnitFlown, required: Sequence[Mapping[str, Any]], metric: str) -> float | None:
@@ -213,7 +242,16 @@ def fill_tables(
     title = (
         f"{metrics}: RMS with its 95 % interval, gaps typical of the class; drift that the datasheet expects"
     )
-    return (make_table("units", title, names, rows), _fill_gaps(units))
+    return (make_table("units", title, names, rows), _fill_gaps(units), *_fill_products(units))
+
+
+def _fill_products(units: Mapping[str, CatalogImu]) -> Iterator[FindingTable]:
+    """Yield the table of size, mass, power and price, if any of the IMUs has one of them."""
+    rows = [(name, *(take(unit.product) for _, _, take in _PRODUCT)) for name, unit in units.items()]
+    rows = [row for row in rows if any(size is not None for size in row[1:])]
+    if rows:
+        names = ("unit", "volume_cm3", "mass_kg", "power_w", "price_usd")
+        yield make_table("products", "Size, mass, power and price, by datasheets that have them", names, rows)
 
 
 def _fill_gaps(units: Mapping[str, CatalogImu]) -> FindingTable:

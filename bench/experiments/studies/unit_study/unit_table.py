@@ -1,10 +1,11 @@
 """IMUs flown on the same flights with the same filters: which class is enough, and what limits it.
 
-The catalog has no prices; the class of an IMU stands for its price: consumer, industrial, tactical,
-navigation. All IMUs use the same runs and are compared run by run. If a pair or a requirement is undecided,
-runs are added up to --max-runs. An IMU with a diverged run is not usable on the flight. A parameter that a
-datasheet leaves out is flown with the typical value of the class, and again as zero; the study prints if this
-changes the answer.
+Few makers print prices; the class of an IMU stands for its price: consumer, industrial, tactical,
+navigation. Of the IMUs that meet a requirement, the study names the smallest and the lightest, where
+datasheets have `[product]`. All IMUs use the same runs and are compared run by run. If a pair or a
+requirement is undecided, runs are added up to --max-runs. An IMU with a diverged run is not usable on the
+flight. A parameter that a datasheet leaves out is flown with the typical value of the class, and again as
+zero; the study prints if this changes the answer.
 """
 
 from __future__ import annotations
