@@ -54,7 +54,7 @@ def test_wings_have_no_rotors_to_shake_an_imu():
         ConfigError, match="rotor_accel needs the speeds of four rotors; this is no multirotor"
     ):
         read_profile("approach", named)
-    with pytest.raises(ConfigError, match="inner_rate_hz has no effect without rotor_accel"):
+    with pytest.raises(ConfigError, match="inner_rate_hz has no effect without another vibration"):
         read_profile("approach", {"sensors.imu.vibration.inner_rate_hz": 4000.0})
     with pytest.raises(ConfigError, match="inner_rate_hz = 300 Hz must be a multiple of rate_hz = 200 Hz"):
         shaken(inner_rate_hz=300.0)

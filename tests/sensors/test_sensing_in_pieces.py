@@ -158,6 +158,15 @@ def test_rotors_that_change_their_speed_shake_the_imu_in_order_of_time(begin):
     assert_same_bits(truth, on_board(replace(EVERY_TERM, vibration=tones)), FEW[:32])
 
 
+def test_an_engine_shakes_the_imu_inside_of_its_samples_in_order_of_time(begin):
+    rate = 20.0 * round((len(begin.t) - 1) / begin.t[-1])
+    assert_same_bits(
+        begin,
+        on_board(replace(EVERY_TERM, vibration=replace(EVERY_TERM.vibration, inner_rate=rate))),
+        FEW[:32],
+    )
+
+
 def sense_units(truth, kind, ticks):
     for path in UNITS:
         if path.parent.name == kind:

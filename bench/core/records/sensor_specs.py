@@ -239,7 +239,12 @@ class VibrationSpec:
     imu_down: float = figure("m", -100, 100, default=0.0)
     """The same downwards [m]."""
     inner_rate: float = figure("hz", 0, 64000, default=0.0)
-    """Rate at which the IMU samples vibration by rotors and sums it up [Hz]; 0: the output rate."""
+    """Rate at which the IMU samples vibration and sums it up [Hz]; 0: the output rate."""
+
+    @property
+    def by_engine(self) -> bool:
+        """Return whether the engine or gusts shake the IMU."""
+        return max(self.engine_gyro, self.engine_accel, self.gust_gyro, self.gust_accel) > 0
 
     @property
     def by_rotors(self) -> bool:
@@ -269,8 +274,7 @@ class ImuSpec:
     @property
     def feels_air(self) -> bool:
         """Return whether an error depends on gusts or engine speed of the flight."""
-        v = self.vibration
-        return max(v.engine_gyro, v.engine_accel, v.gust_gyro, v.gust_accel) > 0
+        return self.vibration.by_engine
 
 
 @declared

@@ -272,9 +272,4 @@ def imu_errors(imu: ImuSpec) -> Errors:
         yield f"{name} noise through the filter of the bandwidth", triad.noise_shape != "white"
     yield "distance between the accelerometers", imu.accel_arms
     yield "time tags of the IMU", max(imu.clock.drift, imu.clock.jitter)
-    shaking = imu.vibration
-    yield (
-        "vibration",
-        max(shaking.engine_gyro, shaking.engine_accel, shaking.gust_gyro, shaking.gust_accel)
-        or shaking.by_rotors,
-    )
+    yield "vibration", imu.vibration.by_engine or imu.vibration.by_rotors

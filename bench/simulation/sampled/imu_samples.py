@@ -13,6 +13,7 @@ import numpy as np
 from bench.core.mathematics.arrays import BoolArray, FloatArray, IntArray
 from bench.core.records.data import AirData, ImuData, Trajectory, no_controls, no_events
 from bench.core.records.sensor_specs import Fault, ImuSpec, SampleClockSpec, TriadSpec
+from bench.core.words.exceptions import ConfigError
 from bench.simulation.sampled.sample_motion import SampleMotion
 from bench.simulation.sensors import faults, imu, imu_terms, vibration
 from bench.simulation.sensors.draws import SensorDraws
@@ -50,11 +51,15 @@ class SampledImu:
     ------
     ValueError
         If a figure of the IMU requires another one that is missing.
+    ConfigError
+        If the engine shakes the IMU at an inner rate.
     """
 
     def __init__(self, spec: ImuSpec, scripted: tuple[Fault, ...], draws: SensorDraws, rate: float) -> None:
         if wrong := imu_terms.check_imu(spec):
             raise ValueError("; ".join(wrong))
+        if spec.vibration.inner_rate and not spec.vibration.by_rotors:
+            raise ConfigError("[vibration] inner_rate_hz is not for an IMU that is asked sample by sample")
         self._spec, self._scripted, self._all, self._draws = spec, scripted, draws, draws.part("imu")
         self._rate, self._width, self._row = rate, max(1, round(imu.BIAS_STEP * rate)), 0
         self._triads = [(getattr(spec, name), self._draws.part(name)) for name in ("gyro", "accel")]

@@ -58,15 +58,17 @@ def check_imu(spec: ImuSpec) -> list[str]:
 
 
 def _check_rotors(spec: VibrationSpec) -> list[str]:
-    shaken = max(spec.rotor_accel_1, spec.rotor_accel_2, spec.rotor_accel_4) > 0
-    if not shaken:
-        keys = {"inner_rate": "hz", "rotor_reference": "rpm"}
+    if not spec.by_rotors:
+        keys = (
+            {"rotor_reference": "rpm"} if spec.by_engine else {"inner_rate": "hz", "rotor_reference": "rpm"}
+        )
         keys |= dict.fromkeys(("rotor_forward", "rotor_right", "rotor_up"), "m")
         keys |= dict.fromkeys((f"gyration_{axis}" for axis in "xyz"), "m")
         keys |= dict.fromkeys(("imu_forward", "imu_right", "imu_down"), "m")
         idle = (f"{name}_{unit}" for name, unit in keys.items() if getattr(spec, name))
-        return [f"[vibration] {key} has no effect without rotor_accel_*_mg" for key in idle]
-    if shaken and spec.rotor_reference <= 0:
+        needed = "rotor_accel_*_mg", "another vibration"
+        return [f"[vibration] {key} has no effect without {needed[key == 'inner_rate_hz']}" for key in idle]
+    if spec.rotor_reference <= 0:
         return ["[vibration] vibration by rotors needs rotor_reference_rpm above 0"]
     return []
 

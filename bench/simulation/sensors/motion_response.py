@@ -1,6 +1,7 @@
 """Response of the triads of an IMU to the motion, before noise and biases: at its output rate or inside it.
 
-An IMU with an inner rate samples vibration by rotors in equal parts of its output interval. Positions of the
+An IMU with an inner rate samples vibration in equal parts of its output interval; with rotors, vibration by
+the engine and by gusts is spread evenly over the parts. Positions of the
 accelerometers, delay, bandwidth, dead zone, errors that follow the motion and the range act on each part; the
 output is the sum, without a coning or sculling correction. White noise, biases and M act on the sum, and so
 does quantization: its remainder is carried, so it makes no difference. An imperfect clock tags the responses.
@@ -54,11 +55,15 @@ def respond(
     ConfigError
         If there are no rotors, or the inner rate is not a multiple of the output rate.
     """
-    part = draws.part("vibration")
-    if not (spec.vibration.by_rotors and spec.vibration.inner_rate):
-        return _respond(truth.t, *vibration.shake(truth, spec.vibration, part), spec, draws)
-    dtheta_b, dvel_b = vibration.shake_by_engine(truth, spec.vibration, part)
-    tones = RotorTones(truth, spec.vibration, part)
+    part, shaken = draws.part("vibration"), spec.vibration
+    if not ((shaken.by_rotors or shaken.by_engine) and shaken.inner_rate):
+        return _respond(truth.t, *vibration.shake(truth, shaken, part), spec, draws)
+    if shaken.by_rotors:
+        dtheta_b, dvel_b = vibration.shake_by_engine(truth, shaken, part)
+        tones = RotorTones(truth, shaken, part)
+    else:
+        dtheta_b, dvel_b = truth.dtheta_b, truth.dvel_b
+        gusts = vibration.find_gusts(truth.air, shaken, part)
     count = part.keep("parts", lambda: count_parts(truth.t[1] - truth.t[0], spec.vibration.inner_rate))
     share = np.arange(count) / count
     found = [disk_arrays.empty(dtheta_b.shape) for _ in range(2)]
@@ -68,7 +73,12 @@ def respond(
         rows = slice(first, min(first + width, len(dtheta_b)))
         ends = truth.t[rows.start : rows.stop + 1]
         t = np.append((ends[:-1, None] + np.diff(ends)[:, None] * share).ravel(), ends[-1])
-        responses = _respond(t, *tones.add(rows, dtheta_b[rows], dvel_b[rows], count), spec, draws)
+        if shaken.by_rotors:
+            moved = tones.add(rows, dtheta_b[rows], dvel_b[rows], count)
+        else:
+            turned, pushed = (np.repeat(true[rows] / count, count, axis=0) for true in (dtheta_b, dvel_b))
+            moved = vibration.shake_parts(t, turned, pushed, truth.air, gusts, shaken, part)
+        responses = _respond(t, *moved, spec, draws)
         if not errors:
             errors = [disk_arrays.empty(dtheta_b.shape if len(one.errors) else (0, 3)) for one in responses]
         for triad, response, out, wrong in zip(

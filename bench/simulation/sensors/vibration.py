@@ -53,11 +53,27 @@ def shake_by_engine(
     one structural mode, a band-pass process at ``mode_frequency``, along a direction drawn once, in
     proportion to the rms of the gusts of the last 10 s.
     """
+    if not spec.by_engine:
+        return truth.dtheta_b, truth.dvel_b
+    gusts = find_gusts(truth.air, spec, draws)
+    return shake_parts(truth.t, truth.dtheta_b, truth.dvel_b, truth.air, gusts, spec, draws)
+
+
+def find_gusts(air: AirData, spec: VibrationSpec, draws: SensorDraws) -> FloatArray:
+    """Return the rms of the gusts (A,) of a piece of a flight [m/s]; empty if they shake nothing."""
+    return compute_gust_rms(air, draws) if max(spec.gust_gyro, spec.gust_accel) > 0 else np.empty(0)
+
+
+def shake_parts(
+    t: FloatArray, dtheta_b: FloatArray, dvel_b: FloatArray, air: AirData, gust_rms: FloatArray,
+    spec: VibrationSpec, draws: SensorDraws,
+) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+    """Add vibration by engine and gusts to increments (K, 3) between t (K + 1,), which go on one another.
+
+    ``gust_rms`` is that of `find_gusts`. The parts of a flight may be of any length.
+    """
     engine = np.array([spec.engine_gyro, spec.engine_accel])
     gusts = np.array([spec.gust_gyro, spec.gust_accel])
-    if not (engine.any() or gusts.any()):
-        return truth.dtheta_b, truth.dvel_b
-    t, air = truth.t, truth.air
     c, s, angle, displacement, strength = (disk_arrays.zeros(len(t)) for _ in range(5))
     cosines, sines, shape = np.zeros((3, 2, 3))
     if engine.any():
@@ -71,10 +87,10 @@ def shake_by_engine(
     if gusts.any():
         shape = draws.constant("shape", 2, 3)
         shape = shape * gusts[:, None] * np.sqrt(3) / np.linalg.norm(shape, axis=1, keepdims=True)
-        interpolate_kernel(t, air.t, compute_gust_rms(air, draws), strength)
+        interpolate_kernel(t, air.t, gust_rms, strength)
         simulate_mode(t, spec, draws, displacement)
-    shaken = disk_arrays.empty(truth.dtheta_b.shape), disk_arrays.empty(truth.dvel_b.shape)
-    for triad, (true, out) in enumerate(zip((truth.dtheta_b, truth.dvel_b), shaken, strict=True)):
+    shaken = disk_arrays.empty(dtheta_b.shape), disk_arrays.empty(dvel_b.shape)
+    for triad, (true, out) in enumerate(zip((dtheta_b, dvel_b), shaken, strict=True)):
         for rows in disk_arrays.blocks(len(out)):
             at = slice(rows.start, None)  # epochs at both ends of the samples
             shake_kernel(
