@@ -197,47 +197,47 @@ class VibrationSpec:
     """Vibration at the IMU, rms of each axis. 0 switches a source off."""
 
     engine_gyro: float = figure("deg_s", default=0.0)
-    """Vibration by the engine at its reference speed, rms; grows with the square of the speed [rad/s]."""
+    """Vibration of the gyros by the engine at its reference speed, rms; grows as its square [rad/s]."""
     engine_accel: float = figure("mg", default=0.0)
-    """The same of the accelerometers [m/s^2]."""
+    """Vibration of the accelerometers by the engine, likewise [m/s^2]."""
     engine_reference: float = figure("rpm", default=0.0)
     """Reference speed of the engine [rad/s]."""
     engine_order: float = figure(default=1.0)
     """Periods per revolution of the engine [1]."""
     gust_gyro: float = figure("deg_s_per_mps", default=0.0)
-    """Vibration of the structural mode that gusts excite, per rms of the gusts [rad/s/(m/s)]."""
+    """Vibration of the gyros by a structural mode that gusts excite, per rms of the gusts [rad/s/(m/s)]."""
     gust_accel: float = figure("mg_per_mps", default=0.0)
-    """The same of the accelerometers [m/s^2/(m/s)]."""
+    """Vibration of the accelerometers by this mode, per rms of the gusts [m/s^2/(m/s)]."""
     mode_frequency: float = figure("hz", default=0.0)
-    """Frequency of that mode [Hz]."""
+    """Frequency of the structural mode [Hz]."""
     mode_damping: float = figure("", 0, 1, default=0.0)
-    """Damping of that mode, over critical damping [1]."""
+    """Damping of the structural mode, over critical damping [1]."""
     rotor_accel_1: float = figure("mg", default=0.0)
     """Unbalance of each rotor of a multirotor, rms along x and y at the reference speed [m/s^2]."""
     rotor_accel_2: float = figure("mg", default=0.0)
     """Blades passing, twice per revolution of each rotor, rms along z at the reference speed [m/s^2]."""
     rotor_accel_4: float = figure("mg", default=0.0)
-    """The same four times per revolution [m/s^2]."""
+    """Blades passing, four times per revolution of each rotor, rms along z at the reference speed [m/s^2]."""
     rotor_reference: float = figure("rpm", default=0.0)
     """Reference speed of the rotors; the vibration grows with the square of the speed [rad/s]."""
     rotor_forward: float = figure("m", 0, 100, default=0.0)
     """Distance of the rotors ahead of and behind the center of gravity [m]; 0: as the aircraft has it."""
     rotor_right: float = figure("m", 0, 100, default=0.0)
-    """The same to the right and left [m]; 0: as the aircraft has it."""
+    """Distance of the rotors to the right and left of it [m]; 0: as the aircraft has it."""
     rotor_up: float = figure("m", -100, 100, default=0.0)
     """Height of the rotors above the center of gravity [m]."""
     gyration_x: float = figure("m", 0, 100, default=0.0)
     """Radius of gyration about x, the root of inertia over mass [m]; 0: as the aircraft has it."""
     gyration_y: float = figure("m", 0, 100, default=0.0)
-    """The same about y [m]; 0: as the aircraft has it."""
+    """Radius of gyration about y [m]; 0: as the aircraft has it."""
     gyration_z: float = figure("m", 0, 100, default=0.0)
-    """The same about z [m]; 0: as the aircraft has it."""
+    """Radius of gyration about z [m]; 0: as the aircraft has it."""
     imu_forward: float = figure("m", -100, 100, default=0.0)
     """Position of the IMU ahead of the center of gravity, where rotors shake it [m]."""
     imu_right: float = figure("m", -100, 100, default=0.0)
-    """The same to the right [m]."""
+    """Position of the IMU to the right of it [m]."""
     imu_down: float = figure("m", -100, 100, default=0.0)
-    """The same downwards [m]."""
+    """Position of the IMU below it [m]."""
     inner_rate: float = figure("hz", 0, 64000, default=0.0)
     """Rate at which the IMU samples vibration and sums it up [Hz]; 0: the output rate."""
 
@@ -311,9 +311,9 @@ class GnssSpec:
     time_tag_error: float = figure("s", -10, 10, default=0.0)
     """Time tag of a fix minus its true time [s]."""
     pos_h_smooth_sd: float = figure("m", default=0.0)
-    """Error of carrier-smoothed code that wanders besides, each horizontal axis [m]."""
+    """Error of carrier-smoothed code, Gauss-Markov, each horizontal axis [m]."""
     pos_v_smooth_sd: float = figure("m", default=0.0)
-    """The same of the height [m]."""
+    """Error of carrier-smoothed code in the height [m]."""
     smooth_time: float = figure("s", default=0.0)
     """Correlation time of this error [s]."""
     pos_h_jump_sd: float = figure("m", default=0.0)

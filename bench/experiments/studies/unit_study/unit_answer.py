@@ -156,7 +156,7 @@ def _tell_required(answer: Answer, units: Mapping[str, CatalogImu]) -> Iterator[
 
 
 def tell_products(answer: Answer, units: Mapping[str, CatalogImu]) -> Iterator[str]:
-    """Yield the smallest, lightest, most frugal and cheapest of the IMUs that meet the requirements.
+    """Yield the smallest, lightest, most frugal and cheapest of several IMUs that meet the requirements.
 
     Only datasheets with the figure take part; the sentence names the IMUs that meet and lack the size.
     """
@@ -167,7 +167,7 @@ def tell_products(answer: Answer, units: Mapping[str, CatalogImu]) -> Iterator[s
         if known:
             best = min(known, key=lambda name: known[name])
             parts.append(f"{word} {best} ({format_number(known[best], 3)} {unit}, of {len(known)})")
-    if parts:
+    if parts and len(met) > 1:
         unknown = [name for name in met if units[name].product.volume is None]
         rest = f"; without a size: {', '.join(unknown)}" if unknown else ""
         yield f"{answer.where}, of the {len(met)} units that meet it: {', '.join(parts)}{rest}."
