@@ -28,8 +28,11 @@ from bench.core.records.sensor_specs import (
 )
 from bench.core.words.exceptions import ConfigError
 from bench.evaluation.motion.noise_curves import make_resting_truth
+from bench.io.config import read_profile
 from bench.io.config.datasheets import read_gnss, read_imu
+from bench.navigation.built_in import load
 from bench.navigation.error_state_filter.aiding_sensors import fix_errors, imu_errors
+from bench.navigation.estimator import list_unmodeled
 from bench.simulation.sensors import gnss, imu, imu_terms, magnetometer
 from bench.simulation.sensors.draws import SensorDraws
 from tests.builders import Z, band
@@ -328,6 +331,28 @@ def test_every_error_is_named_to_the_filters_and_none_without_it():
     assert {words for words, size in fix_errors(odd) if size} == {
         "time tags of the fixes", "GNSS latency", "error of carrier-smoothed code",
     }  # fmt: skip
+
+
+def test_the_best_filter_names_what_it_has_no_state_for():
+    """Each alone; what it models or corrects is not named."""
+    profile = read_profile("all-sensors", {"sensors.gnss": "zed-f9p-smoothed", "sensors.imu": "matched-mems"})
+    known = list_unmodeled(load("loose-full", {}), "loose-full", profile.sensors.assumed)
+    assert "error of carrier-smoothed code" in known
+    for table, change, words in (
+        ("imu.gyro", {"resolution_deg_s": 0.01}, {"gyro rounding of the rates"}),
+        ("imu.accel", {"transient_sd_mg": 1.0, "transient_time_s": 9.0}, {"accelerometer turn-on transient"}),
+        ("imu.accel", {"hysteresis_sd_mg": 1.0}, {"accelerometer temperature hysteresis"}),
+        ("imu.gyro", {"temperature2_sd_deg_h_k2": 1.0}, {"gyro temperature bias of second order"}),
+        ("imu.gyro", {"temperature_sd_deg_h_k": 1.0}, set()),
+        ("imu.clock", {"drift_ppm": 10.0}, {"time tags of the IMU"}),
+        ("gnss", {"time_tag_error_s": 0.01}, {"time tags of the fixes"}),
+        ("gnss", {"latency_jitter_s": 0.01}, set()),
+    ):
+        changes = {f"sensors.{table}.{key}": value for key, value in change.items()}
+        more = {"sensors.gnss": "zed-f9p-smoothed", "sensors.imu": "matched-mems", **changes}
+        assumed = read_profile("all-sensors", more).sensors.assumed
+        found = list_unmodeled(load("loose-full", {}), "loose-full", assumed)
+        assert set(found) - set(known) == words, change
 
 
 IMU_FILE = """

@@ -216,11 +216,13 @@ def test_a_wrong_figure_is_seen(figure, factor):
 
 
 def test_a_skewed_warm_shaken_unit_is_measured_at_rest_along_its_axes():
-    from bench.core.records.sensor_specs import ThermalSpec, VibrationSpec
+    from bench.core.records.sensor_specs import SampleClockSpec, ThermalSpec, VibrationSpec
 
     odd = replace(
         FULL,
-        gyro=replace(FULL.gyro, temperature_sd=1e-5),
+        gyro=replace(FULL.gyro, temperature_sd=1e-5, resolution=1e-3, transient_sd=1e-3, transient_time=9.0),
+        accel=replace(FULL.accel, noise_shape="sampled", bandwidth=30.0, hysteresis_sd=1e-3),
+        clock=SampleClockSpec(jitter=1e-3),
         thermal=ThermalSpec(290.0, 30.0, 1000.0),
         vibration=VibrationSpec(engine_accel=1.0, engine_reference=100.0),
         accel_cone=0.6,
