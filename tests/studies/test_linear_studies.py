@@ -257,6 +257,9 @@ def test_what_has_no_linear_model_is_refused(flight):
     behind = {"sensors.gnss.tracking_bandwidth_hz": 2.0}
     with pytest.raises(ConfigError, match="no lag of the receiver; set tracking_bandwidth_hz = 0"):
         bench.study("bound", profiles=flight, runs=2, jobs=1, overrides=behind)
+    shaken = {"sensors.imu.clock.jitter_us": 9.0, "sensors.gnss.time_tag_error_s": 0.01}
+    with pytest.raises(ConfigError, match="the linear model has no jitter, time_tag_error: set them to 0"):
+        bench.study("bound", profiles=flight, runs=2, jobs=1, overrides=shaken)
 
 
 def test_the_observability_of_a_short_flight(flight):

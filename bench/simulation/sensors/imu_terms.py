@@ -58,10 +58,11 @@ def check_imu(spec: ImuSpec) -> list[str]:
 
 
 def _check_rotors(spec: VibrationSpec) -> list[str]:
-    if not spec.by_rotors:
-        keys = (
-            {"rotor_reference": "rpm"} if spec.by_engine else {"inner_rate": "hz", "rotor_reference": "rpm"}
-        )
+    shaken = max(spec.rotor_accel_1, spec.rotor_accel_2, spec.rotor_accel_4) > 0
+    if not shaken:
+        keys = {"inner_rate": "hz", "rotor_reference": "rpm"}
+        if max(spec.engine_gyro, spec.engine_accel, spec.gust_gyro, spec.gust_accel) > 0:
+            del keys["inner_rate"]
         keys |= dict.fromkeys(("rotor_forward", "rotor_right", "rotor_up"), "m")
         keys |= dict.fromkeys((f"gyration_{axis}" for axis in "xyz"), "m")
         keys |= dict.fromkeys(("imu_forward", "imu_right", "imu_down"), "m")
