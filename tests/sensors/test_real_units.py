@@ -19,6 +19,7 @@ from bench.core.mathematics.random_streams import stream
 from bench.core.records.data import no_controls
 from bench.core.records.instruments import MagSpec
 from bench.core.records.sensor_specs import (
+    Fault,
     GnssSpec,
     ImuSpec,
     SampleClockSpec,
@@ -33,7 +34,7 @@ from bench.io.config.datasheets import read_gnss, read_imu
 from bench.navigation.built_in import load
 from bench.navigation.error_state_filter.aiding_sensors import fix_errors, imu_errors
 from bench.navigation.estimator import list_unmodeled
-from bench.simulation.sensors import gnss, imu, imu_terms, magnetometer
+from bench.simulation.sensors import faults, gnss, imu, imu_terms, magnetometer
 from bench.simulation.sensors.draws import SensorDraws
 from tests.builders import Z, band
 from tests.synthetic import still, turning
@@ -126,6 +127,21 @@ def test_a_rounded_rate_loses_what_a_rounded_increment_carries():
     assert_allclose(steps, np.rint(steps), atol=1e-9)
     low, high = band(steps.size)
     assert low < steps.var() / (1.0 + 1.0 / 12.0) < high  # Widrow: the rounding adds a twelfth
+
+
+def test_a_step_of_a_fault_is_rounded_as_the_unit_rounds():
+    truth = make_resting_truth(100.0, 4.0)
+    unit = ImuSpec("test", TriadSpec(resolution=1e-3, random_walk=1e-4), OFF)
+    draws = SensorDraws(1, 0)
+    record, _ = imu.measure(truth, unit, draws)
+    step = Fault("gyro-step", "gyro", 1.0, 3.0, "step", step=(2.3e-3, 0.0, 0.0), ramp=(0.0, 0.0, 0.0))
+    faulty = faults.apply_to_imu(record, unit, [step], draws)
+    rates = faulty.dtheta_b[:, 0] * 100.0 / 1e-3
+    assert_allclose(rates, np.rint(rates), atol=1e-9)
+    added = (faulty.dtheta_b - record.dtheta_b)[:, 0] * 100.0
+    acts = (record.t >= 1.0 - 1e-9) & (record.t < 3.0 - 1e-9)
+    assert not added[~acts].any()
+    assert_allclose(added[acts], 2e-3, atol=1e-12)  # 2.3 rounds to 2: what it holds is rounded already
 
 
 # --- clock of the IMU ---------------------------------------------------------------------------------------
