@@ -426,3 +426,9 @@ def test_smoothed_fixes_need_a_time(tmp_path):
     path.write_text(text + "vel_white_sd_mps = 0.1\npos_h_smooth_sd_m = 1.0\n")
     with pytest.raises(ConfigError, match="need smooth_time_s above 0 s"):
         read_gnss(path, "unit.toml")
+
+
+def test_a_receiver_of_ranges_has_no_key_of_a_receiver_of_fixes():
+    changes = {"sensors.gnss": "sky-l1", "sensors.gnss.latency_jitter_s": 0.1}
+    with pytest.raises(ConfigError, match="latency_jitter_s and time_tag_error_s are for receivers without"):
+        read_profile("figure-eight", changes)

@@ -214,7 +214,7 @@ def print_sensors(console: Console) -> None:
         }
         print_table(console, FindingTable(kind, kind, columns))
     marks = "; ".join(f"{mark.strip()} {words}" for mark, words in MARKS.items())
-    text = f"{marks}; unmarked: read in the datasheet; - absent, the model lacks this error."
+    text = f"{marks}; unmarked: read in the source of the file; - absent, the model lacks this error."
     console.print(text, soft_wrap=True)
 
 

@@ -23,7 +23,7 @@ MARKS: Mapping[str, str] = {
     " q": "quoted by others",
     " t": "table of grades",
 }
-"""What follows a figure that was not read in its datasheet -> where it is from."""
+"""What follows a figure that was not read in the source of its file -> where it is from."""
 
 _TRIADS = ("gyro", "accel")
 _GRADES = ("navigation", "tactical", "industrial", "consumer")

@@ -54,7 +54,7 @@ def measure(
     Returns
     -------
     fixes : GnssFixes
-        At t = 1/rate, 2/rate, ... The reported covariance is that of white, Markov and smoothed errors, with
+        At t = 1/rate, 2/rate, ... The reported covariance contains white, Markov and smoothed errors, with
         standard deviations divided by ``optimism``. It does not include the jumps, nor the lag of `find_lag`.
 
     Raises

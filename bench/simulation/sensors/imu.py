@@ -252,11 +252,11 @@ def make_noise_filter(cutoff: float, interval: float, *, averaged: bool) -> Nois
 
     Notes
     -----
-    The filter is that of the motion, ``y'' = w^2 (u - y) - sqrt(2) w y'``, and its discretization is exact:
+    The motion passes the same filter, ``y'' = w^2 (u - y) - sqrt(2) w y'``. Its discretization is exact:
     P = diag(w, w^3) / sqrt(8) is stationary, a sample adds P - step P step', and white noise W over a sample
     has the covariance (1 - step) (1, 0)' with it. A mean of a sample is W less what the filter still holds.
     The spectrum of the output is the sum of all aliases of the filtered noise. The aliases of a mean are 0 at
-    zero frequency; those of a sampled value raise its density there, which ``gain`` takes back.
+    zero frequency; the aliases of a sampled value raise its density there, and ``gain`` takes this back.
 
     Examples
     --------

@@ -1,10 +1,10 @@
 """Response of the triads of an IMU to the motion, before noise and biases: at its output rate or inside it.
 
-An IMU with an inner rate samples vibration in equal parts of its output interval; with rotors, vibration by
-the engine and by gusts is spread evenly over the parts. Positions of the
-accelerometers, delay, bandwidth, dead zone, errors that follow the motion and the range act on each part; the
-output is the sum, without a coning or sculling correction. White noise, biases and M act on the sum, and so
-does quantization: its remainder is carried, so it makes no difference. An imperfect clock tags the responses.
+An IMU with an inner rate samples vibration in equal parts of its output interval; beside rotors, vibration by
+the engine and by gusts is spread evenly over the parts. Positions of the accelerometers, delay, bandwidth,
+dead zone, errors that follow the motion and the range act on each part; the output is the sum, without a
+coning or sculling correction. White noise, biases and M act on the sum, and so does quantization: its
+remainder is carried, so it makes no difference. An imperfect clock tags the sums.
 """
 
 from __future__ import annotations

@@ -68,9 +68,9 @@ def shake_parts(
     t: FloatArray, dtheta_b: FloatArray, dvel_b: FloatArray, air: AirData, gust_rms: FloatArray,
     spec: VibrationSpec, draws: SensorDraws,
 ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
-    """Add vibration by engine and gusts to increments (K, 3) between t (K + 1,), which go on one another.
+    """Add vibration by engine and gusts to increments (K, 3) between t (K + 1,) [s], of a part of a flight.
 
-    ``gust_rms`` is that of `find_gusts`. The parts of a flight may be of any length.
+    The part continues the part before, of any length. ``gust_rms`` (A,) [m/s] comes from `find_gusts`.
     """
     engine = np.array([spec.engine_gyro, spec.engine_accel])
     gusts = np.array([spec.gust_gyro, spec.gust_accel])
