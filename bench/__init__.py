@@ -62,6 +62,7 @@ if TYPE_CHECKING:
         sense as sense,
     )
     from bench.cli.exchanging import (
+        convert_unit as convert_unit,
         export_run as export_run,
         measure_allan as measure_allan,
         score_solution as score_solution,
@@ -119,6 +120,7 @@ _PUBLIC = {
     "check_estimator": "bench.navigation.estimator",
     "compare_cards": "bench.experiments.card.card_comparison",
     "compare_results": "bench.experiments.baselines.comparing",
+    "convert_unit": "bench.cli.exchanging",
     "export_run": "bench.cli.exchanging",
     "fix_steps": "bench.navigation.filter_adapters",
     "fly": "bench.cli.api",

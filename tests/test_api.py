@@ -22,6 +22,7 @@ FUNCTIONS = {
     "card": "make_card",
     "check": "check",
     "compare": "compare_results",
+    "convert": "convert_unit",
     "export": "export_run",
     "fixes": "solve_rinex",
     "fly": "fly",

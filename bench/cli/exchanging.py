@@ -1,4 +1,4 @@
-"""The public Python functions that exchange data with other tools: exports, streams, scores, Allan curves."""
+"""The public Python functions that exchange data with other tools: exports, scores, noise parameters..."""
 
 from __future__ import annotations
 
@@ -7,13 +7,18 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
+from bench.core.files import durable
 from bench.core.words.exceptions import ConfigError
 from bench.core.words.stages import Progress, Stage, ignore
 from bench.io import results
 
 if TYPE_CHECKING:
+    from bench.core.records.sensor_specs import ImuSpec
     from bench.evaluation.motion.noise_curves import AllanResult
     from bench.io.foreign.scoring import Score
+    from bench.io.parameters import Converted
     from bench.io.streams.streaming import Streamed
 
 
@@ -23,6 +28,7 @@ def measure_allan(
     log: str | Path | None = None,
     seed: int = 1,
     picture: str | Path | None = None,
+    sheet: str | Path | None = None,
     force: bool = False,
 ) -> AllanResult:
     """Compute the Allan deviation of an IMU and compare it with its datasheet.
@@ -37,19 +43,22 @@ def measure_allan(
         Seed of the noise of the model. Default: 1.
     picture : str or Path, optional
         File to draw the curves into: .png, .svg or .pdf.
+    sheet : str or Path, optional
+        File, .toml, to write the datasheet into that is fitted to the log.
     force : bool, optional
-        Replace the picture.
+        Replace the picture and the datasheet.
 
     Returns
     -------
     AllanResult
         ``curves``: averaging times [s], Allan deviations [rad/s; m/s^2] with 99.9 % bands, and the curve of
-        each term of the datasheet.
+        each term of the datasheet, or of the fit. ``fits``: the parameters fitted to the log.
 
     Raises
     ------
     bench.ConfigError
-        If neither ``unit`` nor ``log`` is given, a file is wrong, or there is no random error to measure.
+        If neither ``unit`` nor ``log`` is given, a file is wrong, there is no random error to measure, or the
+        log is too short for a datasheet.
 
     Examples
     --------
@@ -60,26 +69,138 @@ def measure_allan(
     from bench.evaluation.motion import noise_curves
     from bench.io.config.datasheets import read_imu
     from bench.io.config.library import find_datasheet
-    from bench.io.logs.resting_log import read_resting_log
     from bench.views.report import allan_picture
 
     if picture is not None:
         allan_picture.check_picture(Path(picture), force=force)
+    if sheet is not None:
+        check_sheet(Path(sheet), force=force)
     spec = None if unit is None else read_imu(*find_datasheet("imu", unit, Path()))
     if log is not None:
-        curves = noise_curves.measure_record(*read_resting_log(Path(log)), spec)
-        name = Path(log).stem + (f" and {spec.name}" if spec else "")
+        measured = _measure_log(Path(log), spec)
     elif spec is not None:
         curves = noise_curves.measure_model(spec, seed)
-        name = spec.name
+        measured = noise_curves.AllanResult(spec.name, tuple(curves), spec, simulated=True)
     else:
         raise ConfigError("measure_allan needs an IMU of the catalog or a log")
-    if not curves:
-        raise ConfigError(f"{name}: has no random error to measure")
-    measured = noise_curves.AllanResult(name, tuple(curves), spec, simulated=log is None)
+    if not measured.curves:
+        raise ConfigError(f"{measured.name}: has no random error to measure")
     if picture is not None:
         allan_picture.draw_allan(Path(picture), measured)
+    if sheet is not None:
+        write_sheet(Path(sheet), measured)
     return measured
+
+
+def check_sheet(path: Path, *, force: bool) -> None:
+    """Raise ConfigError if a datasheet cannot be written under a path. With ``force`` it may be replaced."""
+    if path.suffix != ".toml":
+        raise ConfigError(f"{path}: must end in .toml")
+    results.check_file(path, force=force)
+
+
+def write_sheet(path: Path, measured: AllanResult) -> None:
+    """Write the datasheet that is fitted to a log; ConfigError if there is no fit."""
+    from bench.evaluation.motion.noise_fit import FEWEST
+    from bench.io import parameters
+
+    if not measured.fits:
+        raise ConfigError(f"{path}: a datasheet needs a log of {FEWEST} samples or more")
+    durable.write(path, parameters.format_measured_sheet(path.stem, measured.record, measured.fits))
+
+
+def _measure_log(log: Path, spec: ImuSpec | None) -> AllanResult:
+    """Measure and fit a log of an IMU at rest, and compare it with a datasheet or the fit."""
+    from bench.evaluation.motion import noise_curves, noise_fit
+    from bench.io import parameters
+    from bench.io.logs.resting_log import read_resting_log
+
+    t, triads, temperature = read_resting_log(log)
+    for name, rates in triads.items():
+        if not np.ptp(rates, axis=0).all():
+            raise ConfigError(
+                f"{log.name}: {name} has an axis that never changes: there is no noise to measure"
+            )
+    interval, fits = float(t[-1] - t[0]) / (len(t) - 1), []
+    if len(t) >= noise_fit.FEWEST:
+        fits = [noise_fit.fit_triad(name, rates, interval, temperature) for name, rates in triads.items()]
+        triads = {
+            fit.triad: noise_fit.remove_effects(fit, triads[fit.triad], interval, temperature) for fit in fits
+        }
+    fitted = spec is None and bool(fits)
+    name = log.stem + (f" and {spec.name}" if spec else "")
+    spec = parameters.make_measured_spec(log.stem, fits) if fitted else spec
+    curves = tuple(noise_curves.measure_record(t, triads, spec))
+    record = f"{log.name}, {interval * len(t) / 3600.0:.3g} h at {1.0 / interval:.4g} Hz"
+    return noise_curves.AllanResult(name, curves, spec, False, tuple(fits), fitted, record)
+
+
+def convert_unit(
+    unit: str | Path,
+    *,
+    to: str | None = None,
+    source: str | None = None,
+    rate: float | None = None,
+    bias_as_walk: bool = False,
+    out: str | Path | None = None,
+    force: bool = False,
+) -> Converted:
+    """Convert the figures of an IMU into the parameters of another program, or back.
+
+    Parameters
+    ----------
+    unit : str or Path
+        Catalog name of an IMU or path of a datasheet; with ``source``, a file of that program.
+    to : str, optional
+        Program: "kalibr", "vins", "gtsam" and others (`bench.io.parameters.PROGRAMS`).
+    source : str, optional
+        Program that the file is of; the text is then a datasheet. Give one of ``to`` and ``source``.
+    rate : float, optional
+        Rate of the samples [Hz], which the parameters of some programs depend on.
+    bias_as_walk : bool, optional
+        Add to the random walk of the bias what the bias instability is at short times. Default: no.
+    out : str or Path, optional
+        File to write.
+    force : bool, optional
+        Replace the file.
+
+    Returns
+    -------
+    Converted
+        ``text`` of the file, and the errors that are ``lost``.
+
+    Raises
+    ------
+    bench.ConfigError
+        If the program is unknown or has no conversion, a rate is missing, or a file is wrong.
+
+    Examples
+    --------
+    >>> import bench
+    >>> print(bench.convert_unit("stim300", to="kf-gins").text.splitlines()[2])
+      arw: [0.15, 0.15, 0.15]  # deg/sqrt(h)
+    """
+    from bench.io import parameters
+    from bench.io.config.datasheets import read_imu
+    from bench.io.config.library import find_datasheet
+
+    if (to is None) == (source is None):
+        raise ConfigError("convert_unit needs one of to and source")
+    if rate is not None and not 0 < rate < 1e6:
+        raise ConfigError(f"rate = {rate:g} Hz must be above 0 and below 1e6 Hz")
+    if out is not None:
+        results.check_file(Path(out), force=force)
+    if source is not None:
+        path = Path(unit)
+        spec = parameters.read_parameters(path, source, rate)
+        text = parameters.format_sheet(spec, path.stem, f"{path.name}, parameters of {source}")
+        converted = parameters.Converted(source, text, ())
+    else:
+        spec = read_imu(*find_datasheet("imu", str(unit), Path()))
+        converted = parameters.write_parameters(spec, str(to), rate, bias_as_walk=bias_as_walk)
+    if out is not None:
+        durable.write(Path(out), converted.text)
+    return converted
 
 
 def export_run(

@@ -29,7 +29,7 @@ _GROUPS = {
     "Start": ("run", "view", "list", "guide", "new"),
     "Evaluate": ("show", "compare", "report", "campaign", "card", "check", "study", "tune"),
     "Logs": ("navigate", "fixes", "allan"),
-    "Exchange": ("score", "export", "stream", "serve"),
+    "Exchange": ("score", "export", "convert", "stream", "serve"),
 }
 """Heading in the help -> verbs below it."""
 _MAINTAIN = ("fly", "record", "cache", "warm", "upgrade")

@@ -123,19 +123,27 @@ def show(folder: Path | None) -> int:
 @click.argument("unit", required=False, metavar="[UNIT]", shell_complete=completion.imu)
 @click.option("--log", type=FILE, metavar="FILE", help="measure a log of an IMU at rest")
 @out_option("the picture, .png, .svg or .pdf  [default: allan-<unit>.png]", "FILE")
+@click.option(
+    "--sheet",
+    type=FILE,
+    metavar="FILE",
+    help="write the datasheet fitted to the log  [default without UNIT: unit-<log>.toml]",
+)
 @click.option("--seed", type=click.IntRange(min=0), default=1, metavar="N", help="seed of the noise")
-@force_option("picture")
+@force_option("picture and the datasheet")
 def allan(unit: str | None, log: Path | None, **options: Any) -> int:
     """Measure the Allan deviation of an IMU.
 
     UNIT is an IMU of the catalog (bench list sensors) or a datasheet of your own, .toml. Its
     model is simulated at rest: averaging times below 8 s at 200 Hz, longer ones for
     18 h at 1 Hz. Each value is compared with the analytic curve of all terms.
-    With --log a log is measured and, if UNIT is given, compared with the datasheet.
+    With --log a log is measured and, if UNIT is given, compared with the datasheet. Without UNIT
+    white noise N, bias instability B and random walk K are fitted with 95 % intervals and
+    written as a datasheet for bench run --set sensors.imu=FILE.
 
     FILE is a table (.csv, .parquet, .mat) of an IMU at rest, one row per sample. The columns are
     t_s, gyro_x_rad_s (or deg_s, deg_h), gyro_y_..., gyro_z_..., accel_x_m_s2 (or g, mg) and so on.
-    One of the two triads may be missing.
+    One of the two triads may be missing. The effect of temperature_degc is removed.
 
     \b
     Examples:
@@ -148,6 +156,38 @@ def allan(unit: str | None, log: Path | None, **options: Any) -> int:
     from bench.cli.verbs.record_verbs import measure_allan
 
     return DONE if measure_allan(unit, log, console=new_console(), **options) else NEGATIVE
+
+
+@commands.command()
+@click.argument("unit", metavar="UNIT", shell_complete=completion.imu)
+@click.option("--to", metavar="NAME", help="program to write parameters for")
+@click.option("--from", "source", metavar="NAME", help="program that UNIT is a file of; writes a datasheet")
+@click.option("--rate", type=float, metavar="HZ", help="rate of the samples, if the parameters depend on it")
+@click.option(
+    "--bias-as-walk", is_flag=True, help="add to K the walk that B is at short times, and leave out B"
+)
+@out_option("write the parameters into a file", "FILE")
+@force_option("file")
+def convert(unit: str, **options: Any) -> int:
+    """Convert IMU noise for another program.
+
+    UNIT is an IMU of the catalog or a datasheet, .toml; NAME is kalibr, openvins, vins, gtsam,
+    matlab, ros, kf-gins, navego or gnss-ins-sim. The errors of the datasheet that the program
+    does not have are listed. For px4, ardupilot and robot_localization no conversion exists:
+    their defaults are printed beside the noise of the IMU, which is a lower bound.
+
+    \b
+    Examples:
+      bench convert stim300 --to kalibr --rate 200
+      bench convert unit-desk.toml --to kf-gins
+      bench convert imu.yaml --from kalibr -o mine.toml
+    """
+    if (options["to"] is None) == (options["source"] is None):
+        raise click.UsageError("give one of --to NAME and --from NAME")
+    from bench.cli.verbs.record_verbs import convert_unit
+
+    convert_unit(unit, console=new_console(), **options)
+    return DONE
 
 
 @commands.command()

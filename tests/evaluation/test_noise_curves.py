@@ -14,7 +14,6 @@ from bench.evaluation.motion import noise_curves
 from bench.evaluation.motion.noise_curves import (
     AllanCurve,
     AllanResult,
-    fit_noise,
     format_noise_figures,
     measure_model,
     measure_record,
@@ -24,13 +23,6 @@ from bench.evaluation.motion.noise_curves import (
 def make_curve(tau, measured, low=0.0, high=np.inf):
     size = np.ones(len(tau))
     return AllanCurve("gyro", tau, measured, 50.0 * size, low * size, high * size, np.nan * size)
-
-
-def test_the_parts_of_a_curve_are_those_it_was_made_of():
-    """N^2 / T + B^2 + K^2 T / 3; of the quantization, 3 Q^2 / T^2, nothing is left in them."""
-    tau = 2.0 ** np.arange(-4, 12)
-    made = np.sqrt(3.0 * 0.01**2 / tau**2 + 0.3**2 / tau + 0.02**2 + 0.001**2 * tau / 3.0)
-    assert fit_noise(make_curve(tau, made)) == pytest.approx({"N": 0.3, "B": 0.02, "K": 0.001}, rel=1e-6)
 
 
 def test_figures_are_in_the_units_of_datasheets():

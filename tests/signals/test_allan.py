@@ -23,7 +23,8 @@ import bench
 from bench.cli.command_line import main
 from bench.core.records.sensor_specs import AxisFigures, ImuSpec, TriadSpec
 from bench.core.words.exceptions import ConfigError
-from bench.evaluation.motion.noise_curves import fit_noise, format_noise_figures, measure_model
+from bench.evaluation.motion.noise_curves import format_noise_figures, measure_model
+from bench.io import config
 from bench.io.config.datasheets import read_imu
 from bench.io.logs.resting_log import read_resting_log
 from bench.simulation.sensors import processes
@@ -269,22 +270,56 @@ def test_allan_of_a_unit_prints_the_table_and_draws_the_picture(here, capsys):
     assert (here / "a.png").stat().st_size > 20_000
 
 
-def test_allan_of_a_log_finds_its_figures(here, capsys):
+def test_allan_of_a_log_writes_a_datasheet_that_a_profile_accepts(here, capsys):
     """N within 1 %, K within 10 %: 20 s, where the walk begins to rule, have 300 degrees of freedom."""
     desk_log(here / "desk.csv")
-    t, triads = read_resting_log(here / "desk.csv")
-    assert list(triads) == ["gyro"]
+    t, triads, temperature = read_resting_log(here / "desk.csv")
+    assert (list(triads), temperature) == (["gyro"], None)
     assert len(t) == 100_000
-    (curve,) = bench.measure_allan(log=here / "desk.csv").curves
-    found = fit_noise(curve)
-    assert_allclose(found["N"], 1e-3, rtol=0.01)
-    assert_allclose(found["K"], 2e-4, rtol=0.1)
     assert main(["allan", "--log", "desk.csv"]) == 0
-    assert "white noise 3.4" in capsys.readouterr().out  # 1e-3 rad/sqrt(s) is 3.44 deg/sqrt(h)
+    out = capsys.readouterr().out
+    assert "white noise 3.4" in out  # 1e-3 rad/sqrt(s) is 3.44 deg/sqrt(h)
+    assert "bias instability below" in out
+    assert "99.9 % band" in out
     assert (here / "allan-desk.png").is_file()
-    assert main(["allan", "icm-42688-p", "--log", "desk.csv", "-o", "b.svg"]) == 0
-    assert "datasheet" in capsys.readouterr().out
+    found = read_imu(here / "unit-desk.toml", "unit-desk.toml").gyro
+    assert_allclose(found.random_walk, 1e-3, rtol=0.01)
+    assert_allclose(found.rate_random_walk, 2e-4, rtol=0.1)
+    profile = config.read_profile("figure-eight", overrides={"sensors.imu": "unit-desk.toml"})
+    assert profile.sensors.imu.gyro == found
+    assert main(["allan", "--log", "desk.csv", "-o", "c.png"]) == 2
+    assert capsys.readouterr().err == "error: unit-desk.toml: exists; --force replaces it\n"
+
+
+def test_a_log_is_compared_with_a_datasheet(here, capsys):
+    desk_log(here / "desk.csv", seconds=100.0)
+    assert main(["allan", "icm-42688-p", "--log", "desk.csv", "-o", "b.svg", "--sheet", "mine.toml"]) == 0
+    assert "datasheet: mine.toml" in capsys.readouterr().out
     assert "<svg" in (here / "b.svg").read_text()[:1000]
+    assert not (here / "unit-desk.toml").exists()
+    assert read_imu(here / "mine.toml", "mine.toml").gyro.random_walk == pytest.approx(1e-3, rel=0.1)
+
+
+def test_a_short_log_has_curves_and_no_datasheet(here, capsys):
+    desk_log(here / "desk.csv", seconds=10.0)
+    assert main(["allan", "--log", "desk.csv"]) == 0
+    assert "no datasheet: a fit needs 1024 samples or more" in capsys.readouterr().out
+    assert list(here.glob("*.toml")) == []
+    assert main(["allan", "--log", "desk.csv", "--sheet", "mine.toml", "--force"]) == 2
+    assert "mine.toml: a datasheet needs a log of 1024 samples" in capsys.readouterr().err
+    assert main(["allan", "--log", "desk.csv", "--sheet", "mine.txt", "--force"]) == 2
+    assert "mine.txt: must end in .toml" in capsys.readouterr().err
+
+
+def test_a_temperature_is_read(here):
+    desk_log(here / "desk.csv", seconds=100.0)
+    rows = np.loadtxt(here / "desk.csv", delimiter=",", skiprows=1)
+    warm = 25.0 + 0.01 * rows[:, 0]
+    rows[:, 1:] += 5.0 * (warm - 25.0)[:, None]
+    head = "t_s,gyro_x_deg_s,gyro_y_deg_s,gyro_z_deg_s,temperature_degc"
+    np.savetxt(here / "warm.csv", np.column_stack([rows, warm]), delimiter=",", header=head, comments="")
+    (fit,) = bench.measure_allan(log=here / "warm.csv").fits
+    assert_allclose(np.rad2deg(fit.temperature), 5.0, atol=0.5)
 
 
 def test_a_log_in_other_units_gives_the_same(here):
@@ -323,6 +358,7 @@ GOOD = "".join(f"{k / 10},0.1,0.2,0.3\n" for k in range(40))
         (HEAD + GOOD + "3.9,0.1,0.2,0.3\n", "row 41: t_s must increase by about 0.1 s"),
         (HEAD + GOOD + "9.0,0.1,0.2,0.3\n", "row 41: t_s must increase by about 0.1 s"),
         (HEAD + "0,1,2,3\n", "1 samples; at least 32 are needed"),
+        (HEAD + GOOD, "gyro has an axis that never changes: there is no noise to measure"),
     ],
 )
 def test_a_wrong_log_is_one_line_with_its_place(here, text, message):

@@ -24,14 +24,16 @@ from bench.cli.verbs.flight_verbs import (
 from bench.cli.verbs.printing import print_findings, print_wrapped
 from bench.core.records.findings import FindingTable
 from bench.core.records.run_result import RunResult
-from bench.core.records.sensor_specs import TriadSpec
 from bench.core.words.exceptions import ConfigError
 from bench.core.words.notebook import ShownFigure
 from bench.core.words.wording import one_line
 from bench.evaluation.metrics.outages import DRIFT_MEANING, describe_drift, tabulate_drifts
-from bench.evaluation.motion.noise_curves import SHOWN_UNITS, AllanCurve, fit_noise, format_noise_figures
-from bench.io import config, results
+from bench.evaluation.motion.noise_curves import SHOWN_UNITS, AllanCurve
+from bench.evaluation.motion.noise_fit import FEWEST
+from bench.io import config, parameters, results
 from bench.io.config.checks import is_code
+from bench.io.config.datasheets import read_imu
+from bench.io.config.library import find_datasheet
 from bench.pipeline import log_pipeline
 
 
@@ -203,18 +205,70 @@ def write_figures(folder: Path, out: Path | None, form: str, *, console: Console
 
 
 def measure_allan(
-    unit: str | None, log: Path | None, *, out: Path | None, force: bool, seed: int, console: Console
+    unit: str | None,
+    log: Path | None,
+    *,
+    out: Path | None,
+    sheet: Path | None,
+    force: bool,
+    seed: int,
+    console: Console,
 ) -> bool:
-    """Print and draw the Allan deviation of an IMU or a log; return whether the model is within its bands."""
+    """Print and draw the Allan deviation of an IMU or a log; return whether the model is within its bands.
+
+    Without ``unit`` the datasheet that is fitted to the log is written, too, unless the log is short.
+    """
     source = log.stem if log else Path(unit).stem if unit and unit.endswith(".toml") else unit
     picture = out or Path(f"allan-{source}.png")
-    measured = exchanging.measure_allan(unit, log=log, seed=seed, picture=picture, force=force)
-    fits = [_describe_fit(curve) for curve in measured.curves if log is not None]
+    beside = Path(f"unit-{source}.toml") if sheet is None and unit is None else None
+    if beside is not None:
+        exchanging.check_sheet(beside, force=force)
+    measured = exchanging.measure_allan(unit, log=log, seed=seed, picture=picture, sheet=sheet, force=force)
+    if beside is not None and measured.fits:
+        exchanging.write_sheet(beside, measured)
+        sheet = beside
+    fits = [parameters.summarize_fit(fit) for fit in measured.fits]
     mark = " (!)" if measured.outside else ""
     outside = f"{measured.outside} of {measured.points} values lie outside their 99.9 % band{mark}."
     sentences = [*fits, f"picture: {picture}", *([outside] if measured.simulated else [])]
-    print_findings(console, sentences, map(tabulate_allan, measured.curves))
+    if beside is not None and not measured.fits:
+        sentences.append(f"no datasheet: a fit needs {FEWEST} samples or more")
+    if sheet is not None:
+        sentences.append(f"datasheet: {sheet}; next: bench run figure-eight --set sensors.imu={sheet}")
+    name = "fit" if measured.fitted else "datasheet"
+    print_findings(console, sentences, [tabulate_allan(curve, name) for curve in measured.curves])
     return measured.held
+
+
+def convert_unit(unit: str, *, to: str | None, console: Console, **options: Any) -> None:
+    """Print the figures of an IMU in the parameters of another program, and what is lost on the way.
+
+    For ``options`` see `bench.cli.exchanging.convert_unit`.
+    """
+    if to is not None and to in parameters.TUNINGS:
+        if given := [key for key, value in options.items() if value and key != "force"]:
+            raise ConfigError(
+                f"convert to {to}: no conversion exists, {given[0]} has no effect; leave it out"
+            )
+        spec = read_imu(*find_datasheet("imu", unit, Path()))
+        tuning = parameters.TUNINGS[to]
+        text = (
+            f"no conversion exists: the process noise of {tuning.title} is tuned for a whole vehicle, with "
+            "its vibration and timing. The noise of the IMU is a lower bound."
+        )
+        sentences = [text, *([tuning.note] if tuning.note else []), f"definitions: {tuning.source}"]
+        print_findings(console, sentences, [FindingTable(to, "", parameters.bound_tuning(spec, to))])
+        return
+    converted = exchanging.convert_unit(unit, to=to, **options)
+    console.print(converted.text, markup=False, highlight=False, soft_wrap=True, end="")
+    for line in converted.lost:
+        console.print(f"lost: {line}", markup=False, highlight=False, soft_wrap=True)
+    program = parameters.PROGRAMS[converted.program]
+    for line in (program.note, f"definitions: {program.source}"):
+        if line:
+            console.print(line, markup=False, highlight=False, soft_wrap=True)
+    if options["out"] is not None:
+        console.print(f"Wrote {options['out']}", soft_wrap=True)
 
 
 def export_run(folder: Path, *, console: Console, **options: Any) -> None:
@@ -252,26 +306,17 @@ def stream_run(folder: Path, *, console: Console, **options: Any) -> None:
     console.print(f"{sent.messages} messages in {sent.seconds:.3g} s{pace}")
 
 
-def tabulate_allan(curve: AllanCurve) -> FindingTable:
-    """Return a measured Allan deviation as a table, beside the curve of the datasheet if there is any."""
+def tabulate_allan(curve: AllanCurve, name: str = "datasheet") -> FindingTable:
+    """Return a measured Allan deviation as a table, beside the datasheet or the fit, as ``name`` calls it."""
     unit, factor = SHOWN_UNITS[curve.triad]
     columns: dict[str, list[Any]] = {"tau [s]": curve.tau.tolist()}
     columns["measured"] = (factor * curve.measured).tolist()
     if curve.terms:
         low, ratio, high = (x / curve.expected for x in (curve.low, curve.measured, curve.high))
-        columns["datasheet"] = (factor * curve.expected).tolist()
+        columns[name] = (factor * curve.expected).tolist()
         columns["ratio (99.9 % band)"] = [
             ShownFigure(f"{one:.3f}", f"{least:.3f} to {most:.3f}", outside=not least <= one <= most)
             for least, one, most in zip(low, ratio, high, strict=True)
         ]
     columns["degrees of freedom"] = [round(value) for value in curve.edf.tolist()]
     return FindingTable(curve.triad, f"{curve.triad}, Allan deviation in {unit}", columns)
-
-
-def _describe_fit(curve: AllanCurve) -> str:
-    """Return one line with the fitted noise parameters of a measured curve, in datasheet units."""
-    fit = fit_noise(curve)
-    triad = TriadSpec(random_walk=fit["N"], bias_instability=fit["B"], rate_random_walk=fit["K"])
-    texts = format_noise_figures(curve.triad, triad)
-    del texts["quantization"]
-    return f"{curve.triad}, fitted: " + ", ".join(f"{name} {text}" for name, text in texts.items())

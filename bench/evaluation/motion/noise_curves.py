@@ -13,6 +13,7 @@ from bench.core.mathematics.arrays import FloatArray, IntArray
 from bench.core.mathematics.units import STANDARD_GRAVITY
 from bench.core.records.data import AirData, Trajectory, no_controls, no_events
 from bench.core.records.sensor_specs import ImuSpec, TriadSpec
+from bench.evaluation.motion.noise_fit import NoiseFit
 from bench.simulation.sensors import imu
 from bench.simulation.sensors.draws import SensorDraws
 from bench.simulation.sensors.processes import make_noise_terms
@@ -53,8 +54,11 @@ class AllanResult:
 
     name: str  # of the IMU, of the log, or of both
     curves: tuple[AllanCurve, ...]
-    spec: ImuSpec | None  # datasheet to compare with
+    spec: ImuSpec | None  # datasheet to compare with, or the figures fitted to a log
     simulated: bool  # True: measured on the model of the datasheet; False: on a log
+    fits: tuple[NoiseFit, ...] = ()  # of a log of at least `noise_fit.FEWEST` samples
+    fitted: bool = False  # spec has the figures fitted to the log
+    record: str = ""  # the log in words
 
     @property
     def points(self) -> int:
@@ -175,21 +179,6 @@ def measure_record(t: FloatArray, triads: Mapping[str, FloatArray], spec: ImuSpe
         _measure_curve(name, rates * interval, interval, spans, getattr(spec, name) if spec else None)
         for name, rates in triads.items()
     ]
-
-
-def fit_noise(curve: AllanCurve) -> dict[str, float]:
-    """Fit N (white noise), B (flat part) and K (rate random walk) to a measured curve, in SI.
-
-    Least squares of the Allan variances with non-negative N^2, B^2, K^2 and quantization; the weights are the
-    degrees of freedom.
-    """
-    from scipy.optimize import nnls
-
-    tau = curve.tau
-    shapes = np.column_stack([3 / tau**2, 1 / tau, np.ones_like(tau), tau / 3])
-    weight = np.sqrt(curve.edf) / curve.measured**2
-    _, N2, B2, K2 = nnls(shapes * weight[:, None], curve.measured**2 * weight)[0]
-    return {"N": math.sqrt(N2), "B": math.sqrt(B2), "K": math.sqrt(K2)}
 
 
 def format_noise_figures(name: str, triad: TriadSpec) -> dict[str, str]:

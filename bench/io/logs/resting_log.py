@@ -19,17 +19,19 @@ _TRIADS = {
     "gyro": (group("rate", "gyro_x", "gyro_y", "gyro_z"),),
     "accel": (group("acceleration", "accel_x", "accel_y", "accel_z"),),
 }
+_TEMPERATURE = {"temperature": (group("temperature", "temperature"),)}
 
 
-def read_resting_log(path: Path) -> tuple[FloatArray, dict[str, FloatArray]]:
-    """Return the times (N,) [s] and the rates (N, 3) of each triad, in SI.
+def read_resting_log(path: Path) -> tuple[FloatArray, dict[str, FloatArray], FloatArray | None]:
+    """Return times (N,) [s], the rates (N, 3) of each triad in SI, and the temperature (N,) or None.
 
     Parameters
     ----------
     path : Path
         Table with a header (CSV, Parquet or MATLAB): ``t_s`` and one or both triads, ``gyro_x_rad_s``,
         ``gyro_y_rad_s``, ``gyro_z_rad_s`` (or ``deg_s``, ``deg_h``), ``accel_x_m_s2`` ... (or ``g``, ``mg``):
-        rates, not increments. Other columns are not read.
+        rates, not increments; and ``temperature_degc`` if the temperature is known. Other columns are not
+        read.
 
     Raises
     ------
@@ -38,19 +40,23 @@ def read_resting_log(path: Path) -> tuple[FloatArray, dict[str, FloatArray]]:
         file and row; row 1 is the first below the header.
     """
     shown = path.name
-    table = read_table(path, {"time": (group("time", "t"),), **_TRIADS}, tuple(_TRIADS), MOST_ROWS)
+    kinds = {"time": (group("time", "t"),), **_TRIADS, **_TEMPERATURE}
+    table = read_table(path, kinds, (*_TRIADS, *_TEMPERATURE), MOST_ROWS)
     table.check_groups(_TRIADS, shown)
     triads = {name: table.columns[name] for name in _TRIADS if name in table.columns}
     t = table.columns["time"][:, 0]
+    temperature = table.columns["temperature"][:, 0] if "temperature" in table.columns else None
     if not triads:
         raise ConfigError(f"{shown}: no column 'gyro_x_rad_s' or 'accel_x_m_s2' with its y and z")
     if len(t) < FEWEST:
         raise ConfigError(f"{shown}: {len(t)} samples; at least {FEWEST} are needed")
-    finite = np.isfinite(np.column_stack([t, *triads.values()])).all(axis=1)
+    finite = np.isfinite(
+        np.column_stack([t, *triads.values(), *([] if temperature is None else [temperature])])
+    ).all(axis=1)
     if (k := find_first(~finite)) is not None:
         raise ConfigError(f"{shown}: row {k + 1}: a value is not finite")
     step = float(np.median(np.diff(t)))
     if (k := find_first(np.abs(np.diff(t) - step) > 0.5 * step if step > 0 else np.ones(1))) is not None:
         text = f"t_s must increase by about {step:g} s, as in the rest of the file"
         raise ConfigError(f"{shown}: row {k + 2}: {text}")
-    return t, triads
+    return t, triads, temperature

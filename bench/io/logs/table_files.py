@@ -43,6 +43,7 @@ UNITS = {
     "pressure": ("Pa", "hPa"),
     "field": ("uT", "nT", "T", "gauss", "mgauss"),
     "signal": ("dB-Hz",),
+    "temperature": ("degC", "K"),
     "": ("",),
 }
 """Dimension -> allowed units of its columns; messages name the first."""
@@ -224,8 +225,7 @@ def _read_header(path: Path) -> _TableHeader:
     """Return the header of a CSV file with columns separated by a comma, a semicolon or a tab.
 
     Empty lines, comments (#, %, //) and keys with a colon above it do not count; the last comment is the
-    header if rows follow.
-    A line of units in brackets below it belongs to it.
+    header if rows follow. A line of units in brackets below it belongs to it.
     """
     lines, comment, above = 0, "", False
     try:

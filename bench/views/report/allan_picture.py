@@ -44,26 +44,26 @@ def draw_allan(path: Path, measured: AllanResult) -> None:
     curves = measured.curves
     figure = Figure(figsize=(6.4 * len(curves), 5.2), dpi=130, layout="constrained")
     for axes, curve in zip(figure.subplots(1, len(curves), squeeze=False)[0], curves, strict=True):
-        draw_curve(axes, curve, measured.spec)
+        draw_curve(axes, curve, measured.spec, "fit" if measured.fitted else "datasheet")
     figure.suptitle(f"Allan deviation: {measured.name}", color=_INK, fontsize=13)
     with durable.open_binary(path) as file:
         figure.savefig(file, format=path.suffix[1:])
 
 
-def draw_curve(axes: Axes, curve: AllanCurve, spec: ImuSpec | None) -> None:
-    """Draw a measured Allan deviation beside the curve of the datasheet."""
+def draw_curve(axes: Axes, curve: AllanCurve, spec: ImuSpec | None, name: str = "datasheet") -> None:
+    """Draw a measured Allan deviation beside the curve of the datasheet, or of the fit: ``name``."""
     unit, factor = SHOWN_UNITS[curve.triad]
     tau, measured, low, high = curve.tau, factor * curve.measured, factor * curve.low, factor * curve.high
     floor = 0.3 * measured.min()
     color = _BLUE if curve.terms else _ORANGE
     axes.fill_between(tau, low, high, color=color, alpha=0.2, lw=0, label="99.9 % band")
     if curve.terms:
-        axes.plot(tau, factor * curve.expected, color=_BLUE, lw=1.6, label="datasheet, all terms")
+        axes.plot(tau, factor * curve.expected, color=_BLUE, lw=1.6, label=f"{name}, all terms")
     texts = format_noise_figures(curve.triad, getattr(spec, curve.triad)) if spec else {}
-    for name, term in curve.terms.items():
+    for one, term in curve.terms.items():
         shown = np.where(factor * term > floor, factor * term, np.nan)
-        label = f"{name}, {texts[name]}" + ("" if np.isfinite(shown).any() else ", below the picture")
-        axes.plot(tau, shown, color=_LINES[name], lw=1.2, ls="--", label=label)
+        label = f"{one}, {texts[one]}" + ("" if np.isfinite(shown).any() else ", below the picture")
+        axes.plot(tau, shown, color=_LINES[one], lw=1.2, ls="--", label=label)
     axes.plot(tau, measured, "o", ms=4.5, color=_ORANGE, mec="white", mew=0.6, label="measured, three axes")
     axes.set(xscale="log", yscale="log", xlabel="averaging time [s]")
     axes.set(ylabel=f"Allan deviation [{unit}]", ylim=(floor, 2.0 * max(measured.max(), high.max())))

@@ -1,0 +1,23 @@
+"""IMU noise parameters of other programs: datasheets into their files and back."""
+
+from bench.io.parameters.conversion import Converted, bound_tuning, read_parameters, write_parameters
+from bench.io.parameters.measured_sheet import (
+    format_measured_sheet,
+    make_measured_spec,
+    summarize_fit,
+)
+from bench.io.parameters.programs import PROGRAMS, TUNINGS
+from bench.io.parameters.sheet_text import format_sheet
+
+__all__ = [
+    "PROGRAMS",
+    "TUNINGS",
+    "Converted",
+    "bound_tuning",
+    "format_measured_sheet",
+    "format_sheet",
+    "make_measured_spec",
+    "read_parameters",
+    "summarize_fit",
+    "write_parameters",
+]

@@ -1,0 +1,100 @@
+"""The datasheet of an IMU that was measured at rest, and its figures in words."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from bench.core.mathematics.units import from_si, unit_of
+from bench.core.records.fields import triad_figures_of
+from bench.core.records.sensor_specs import ImuSpec, TriadSpec
+from bench.evaluation.motion.noise_fit import SLOW, NoiseEstimate, NoiseFit
+from bench.io.parameters.sheet_text import format_sheet
+
+_WORDS = {
+    "random_walk": "white noise",
+    "bias_instability": "bias instability",
+    "rate_random_walk": "rate random walk",
+    "quantization": "quantization",
+}
+_METHOD = (
+    "Maximum likelihood, 95 % intervals. The bias instability is the minimum of the Allan deviation without "
+    "white noise, as in all datasheets of bench; B of IEEE Std 952 is this value over 0.664. Not measured: "
+    "turn-on bias, scale factor, misalignment, range."
+)
+
+
+def make_measured_spec(name: str, fits: Sequence[NoiseFit]) -> ImuSpec:
+    """Return the datasheet with the fitted figures of each triad."""
+    triads = {fit.triad: fit.make_triad() for fit in fits}
+    return ImuSpec(name, triads.get("gyro", TriadSpec()), triads.get("accel", TriadSpec()))
+
+
+def format_measured_sheet(name: str, record: str, fits: Sequence[NoiseFit]) -> str:
+    """Return the text of the datasheet of an IMU that was measured at rest.
+
+    Parameters
+    ----------
+    name : str
+        Name of the IMU.
+    record : str
+        The record in words: file, length, rate.
+    fits : sequence of NoiseFit
+        The fit of each triad. A figure with an interval that reaches 0 is not in the sheet; its source says
+        what the figure is below.
+    """
+    sources = {
+        (fit.triad, field): describe_estimate(fit.triad, field, fit.estimates[field])
+        for fit in fits
+        for field in _WORDS
+    }
+    notes = [f"{fit.triad}: {line}." for fit in fits for line in list_notes(fit)]
+    source = " ".join([f"Measured at rest: {record}.", _METHOD, *notes])
+    sources |= {(fit.triad, "bias_correlation"): "fitted, without an interval" for fit in fits}
+    spec = make_measured_spec(name, fits)
+    return format_sheet(spec, f"{name}, measured at rest", source, sources, digits=4)
+
+
+def summarize_fit(fit: NoiseFit) -> str:
+    """Return one line with the fitted noise of a triad and its 95 % intervals."""
+    found = [field for field in _WORDS if fit.estimates[field].identified]
+    texts = [
+        f"{_WORDS[field]} {describe_estimate(fit.triad, field, fit.estimates[field])}" for field in found
+    ]
+    return f"{fit.triad}, fitted (95 %): " + "; ".join([*texts, *list_notes(fit)])
+
+
+def describe_estimate(triad: str, field: str, one: NoiseEstimate) -> str:
+    """Return a fitted figure with its interval in the unit of datasheets.
+
+    Examples
+    --------
+    >>> print(describe_estimate("gyro", "bias_instability", NoiseEstimate(1e-5, 0.0, 2e-5)))
+    below 4.125 deg/h
+    """
+    key = triad_figures_of(TriadSpec)[field].keys(field, triad)[0]
+    value, low, high = (f"{from_si(key, number):.4g}" for number in (one.value, one.low, one.high))
+    unit = unit_of(key)
+    return f"{value} {unit} ({low} to {high})" if one.identified else f"below {high} {unit}"
+
+
+def list_notes(fit: NoiseFit) -> Iterator[str]:
+    """Yield in words what is not in the figures of a fit: bounds, removed effects, a limited band."""
+    for field, words in _WORDS.items():
+        if not fit.estimates[field].identified:
+            yield f"{words} {describe_estimate(fit.triad, field, fit.estimates[field])}"
+    if fit.slow and not any(fit.estimates[field].identified for field in SLOW):
+        yield "there is slow noise; the record does not separate its two kinds, the likeliest values stand"
+    for field, axes in fit.axes.items():
+        if fit.estimates[field].identified:
+            texts = ", ".join(describe_estimate(fit.triad, field, one) for one in axes)
+            yield f"{_WORDS[field]} by axis: {texts}"
+    key = {"gyro": "deg_h", "accel": "ug"}[fit.triad]
+    if fit.transient is not None:
+        time, amplitudes = fit.transient
+        sizes = ", ".join(f"{from_si(f'x_{key}', float(size)):.3g}" for size in amplitudes)
+        yield f"removed a turn-on transient of {time:.3g} s with {sizes} {unit_of(f'x_{key}')} on x, y, z"
+    if fit.temperature is not None:
+        slopes = ", ".join(f"{from_si(f'x_{key}_k', float(one)):.3g}" for one in fit.temperature)
+        yield f"removed a bias of {slopes} {unit_of(f'x_{key}_k')} on x, y, z"
+    if fit.highest < fit.nyquist:
+        yield f"fitted up to {fit.highest:.3g} Hz; the noise above has another shape"
