@@ -15,6 +15,7 @@ from bench.io.config.log import load_log
 from bench.io.foreign.solutions import read_solution
 from bench.io.logs import formats
 from bench.io.logs.resting_log import read_resting_log
+from bench.io.parameters import read_parameters
 from bench.io.trajectories.track_files import read_track
 from bench.plugins.receiver import almanac
 from bench.plugins.receiver.receiver_streams.rtcm import read_rtcm
@@ -225,6 +226,7 @@ LARGE = {
     "yuma.txt": lambda path: almanac.read_yuma(path, 1.3e9),
     "drive.toml": lambda path: load_log(str(path)),
     "imu.toml": lambda path: SENSORS["imu"](path, "imu.toml"),
+    "kalibr.yaml": lambda path: read_parameters(path, "kalibr"),
 }
 
 

@@ -17,7 +17,7 @@ TOPICS: Mapping[str, tuple[str, tuple[str, ...]]] = {
     "api-result": (
         "Read, write and compare results",
         ("read_result", "write_result", "to_arrow", "compare_results", "write_report", "export_run",
-         "score_solution", "stream_run"),
+         "score_solution", "stream_run", "convert_unit"),
     ),
     "api-experiment": (
         "Campaigns, studies, cards and baselines",

@@ -77,7 +77,7 @@ class NoiseFit:
     nyquist: float  # half the sample rate [Hz]
     worst: float  # ratio of measured to fitted power of the octave that differs most [1]
     slow: bool  # there is a bias instability or a rate random walk, identified or not
-    axes: Mapping[str, tuple[NoiseEstimate, ...]] = field(default_factory=dict)  # x, y, z if they differ
+    axes: Mapping[str, tuple[NoiseEstimate, ...]] = field(default_factory=dict)  # x, y, z, if they differ
     transient: tuple[float, FloatArray] | None = None  # time constant [s], amplitudes (3,) [unit/s]
     temperature: FloatArray | None = None  # bias per kelvin (3,) [unit/s/K]
 
@@ -87,8 +87,7 @@ class NoiseFit:
         If the record shows a slow noise, but not whether it is the bias instability or the walk, their
         likeliest values are in the triad.
         """
-        unknown = self.slow and not any(self.estimates[name].identified for name in SLOW)
-        kept = [name for name, one in self.estimates.items() if one.identified or (unknown and name in SLOW)]
+        kept = _choose_kept(self.estimates, self.slow)
         values: dict[str, Any] = {name: self.estimates[name].value for name in kept}
         axes = []
         for name in kept if self.axes else ():
@@ -101,6 +100,12 @@ class NoiseFit:
                 **values, bias_correlation=self.correlation, bias_model=self.model, axes=tuple(axes)
             )
         return TriadSpec(**values, axes=tuple(axes))
+
+
+def _choose_kept(estimates: Mapping[str, NoiseEstimate], slow: bool) -> list[str]:
+    """The likelihood of the spectra of groups of axes with a common course of the bias instability."""
+    unknown = slow and not any(estimates[name].identified for name in SLOW)
+    return [name for name, one in estimates.items() if one.identified or (unknown and name in SLOW)]
 
 
 class _ProfiledFit:
@@ -260,16 +265,17 @@ def fit_triad(
         courses = [*courses, make_transient(len(rates), interval, transient)]
     spectrum, profile, worst = _choose_band(add_regressors(spectrum, courses))
     effects = estimate_effects(spectrum, profile.variance())[0]
+    estimates, slow = {name: profile.estimate(0, name) for name in PARAMETERS}, profile.has_slow_noise(0)
     return NoiseFit(
         triad,
-        {name: profile.estimate(0, name) for name in PARAMETERS},
+        estimates,
         profile.correlation,
         profile.model,
         min(float(spectrum.index[-1] + 0.5 * spectrum.count[-1] + 0.5) / (2.0 * length), 0.5 / interval),
         0.5 / interval,
         worst,
-        profile.has_slow_noise(0),
-        _fit_axes(spectrum, profile),
+        slow,
+        _fit_axes(spectrum, profile, _choose_kept(estimates, slow)),
         None if transient is None else (transient, effects[-1]),
         effects[0] if has_temperature else None,
     )
@@ -293,13 +299,15 @@ def remove_effects(
     return rates
 
 
-def _fit_axes(spectrum: NoiseSpectrum, profile: _ProfiledFit) -> dict[str, tuple[NoiseEstimate, ...]]:
-    """Return the estimates of each axis; none if the axes do not differ by a test at 1 %."""
+def _fit_axes(
+    spectrum: NoiseSpectrum, profile: _ProfiledFit, kept: Sequence[str]
+) -> dict[str, tuple[NoiseEstimate, ...]]:
+    """Return estimates of each axis; none if the axes do not differ by a test at 1 %."""
     count = spectrum.power.shape[1]
     alone = _ProfiledFit([spectrum.select(axes=slice(k, k + 1)) for k in range(count)], (profile.model,))
     if 2.0 * (alone.most - profile.most) < chi2.ppf(0.99, len(PARAMETERS) * (count - 1)):
         return {}
-    return {name: tuple(alone.estimate(k, name) for k in range(count)) for name in PARAMETERS}
+    return {name: tuple(alone.estimate(k, name) for k in range(count)) for name in kept}
 
 
 def _find_transient(spectrum: NoiseSpectrum, courses: Sequence[FloatArray]) -> float | None:

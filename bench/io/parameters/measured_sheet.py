@@ -17,8 +17,9 @@ _WORDS = {
     "quantization": "quantization",
 }
 _METHOD = (
-    "Maximum likelihood, 95 % intervals. The bias instability is the minimum of the Allan deviation without "
-    "white noise, as in all datasheets of bench; B of IEEE Std 952 is this value over 0.664. Not measured: "
+    "Maximum likelihood, 95 % intervals. The bias instability is flicker noise, a sum of three Gauss-Markov "
+    "processes, or one Gauss-Markov process; its value is the minimum of the Allan deviation without white "
+    "noise, as in all datasheets of bench, and B of IEEE Std 952 is this value over 0.664. Not measured: "
     "turn-on bias, scale factor, misalignment, range."
 )
 
@@ -85,9 +86,8 @@ def list_notes(fit: NoiseFit) -> Iterator[str]:
     if fit.slow and not any(fit.estimates[field].identified for field in SLOW):
         yield "there is slow noise; the record does not separate its two kinds, the likeliest values stand"
     for field, axes in fit.axes.items():
-        if fit.estimates[field].identified:
-            texts = ", ".join(describe_estimate(fit.triad, field, one) for one in axes)
-            yield f"{_WORDS[field]} by axis: {texts}"
+        texts = ", ".join(describe_estimate(fit.triad, field, one) for one in axes)
+        yield f"{_WORDS[field]} by axis: {texts}"
     key = {"gyro": "deg_h", "accel": "ug"}[fit.triad]
     if fit.transient is not None:
         time, amplitudes = fit.transient
