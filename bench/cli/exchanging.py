@@ -75,6 +75,8 @@ def measure_allan(
         allan_picture.check_picture(Path(picture), force=force)
     if sheet is not None:
         check_sheet(Path(sheet), force=force)
+        if log is None:
+            raise ConfigError(f"{sheet}: a datasheet is fitted to a log; name it with --log")
     spec = None if unit is None else read_imu(*find_datasheet("imu", unit, Path()))
     if log is not None:
         measured = _measure_log(Path(log), spec)
@@ -131,7 +133,9 @@ def _measure_log(log: Path, spec: ImuSpec | None) -> AllanResult:
     name = log.stem + (f" and {spec.name}" if spec else "")
     spec = parameters.make_measured_spec(log.stem, fits) if fitted else spec
     curves = tuple(noise_curves.measure_record(t, triads, spec))
-    record = f"{log.name}, {interval * len(t) / 3600.0:.3g} h at {1.0 / interval:.4g} Hz"
+    length = interval * len(t)
+    span = f"{length / 3600.0:.3g} h" if length > 1000.0 else f"{length:.3g} s"
+    record = f"{log.name}, {span} at {1.0 / interval:.4g} Hz"
     return noise_curves.AllanResult(name, curves, spec, False, tuple(fits), fitted, record)
 
 

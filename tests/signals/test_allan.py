@@ -307,6 +307,8 @@ def test_a_short_log_has_curves_and_no_datasheet(here, capsys):
     assert list(here.glob("*.toml")) == []
     assert main(["allan", "--log", "desk.csv", "--sheet", "mine.toml", "--force"]) == 2
     assert "mine.toml: a datasheet needs a log of 1024 samples" in capsys.readouterr().err
+    assert main(["allan", "stim300", "--sheet", "mine.toml"]) == 2
+    assert "mine.toml: a datasheet is fitted to a log" in capsys.readouterr().err
     assert main(["allan", "--log", "desk.csv", "--sheet", "mine.txt", "--force"]) == 2
     assert "mine.txt: must end in .toml" in capsys.readouterr().err
 

@@ -75,7 +75,6 @@ class NoiseFit:
     model: str  # its course, `TriadSpec.bias_model`
     highest: float  # frequency up to which the record has the fitted shape [Hz]
     nyquist: float  # half the sample rate [Hz]
-    worst: float  # ratio of measured to fitted power of the octave that differs most [1]
     slow: bool  # there is a bias instability or a rate random walk, identified or not
     axes: Mapping[str, tuple[NoiseEstimate, ...]] = field(default_factory=dict)  # x, y, z, if they differ
     transient: tuple[float, FloatArray] | None = None  # time constant [s], amplitudes (3,) [unit/s]
@@ -103,7 +102,7 @@ class NoiseFit:
 
 
 def _choose_kept(estimates: Mapping[str, NoiseEstimate], slow: bool) -> list[str]:
-    """The likelihood of the spectra of groups of axes with a common course of the bias instability."""
+    """Return the parameters of a datasheet: identified, or the two slow ones if neither is identified."""
     unknown = slow and not any(estimates[name].identified for name in SLOW)
     return [name for name, one in estimates.items() if one.identified or (unknown and name in SLOW)]
 
@@ -263,7 +262,7 @@ def fit_triad(
     transient = _find_transient(spectrum, courses)
     if transient is not None:
         courses = [*courses, make_transient(len(rates), interval, transient)]
-    spectrum, profile, worst = _choose_band(add_regressors(spectrum, courses))
+    spectrum, profile = _choose_band(add_regressors(spectrum, courses))
     effects = estimate_effects(spectrum, profile.variance())[0]
     estimates, slow = {name: profile.estimate(0, name) for name in PARAMETERS}, profile.has_slow_noise(0)
     return NoiseFit(
@@ -273,7 +272,6 @@ def fit_triad(
         profile.model,
         min(float(spectrum.index[-1] + 0.5 * spectrum.count[-1] + 0.5) / (2.0 * length), 0.5 / interval),
         0.5 / interval,
-        worst,
         slow,
         _fit_axes(spectrum, profile, _choose_kept(estimates, slow)),
         None if transient is None else (transient, effects[-1]),
@@ -325,8 +323,8 @@ def _find_transient(spectrum: NoiseSpectrum, courses: Sequence[FloatArray]) -> f
     return found
 
 
-def _choose_band(spectrum: NoiseSpectrum) -> tuple[NoiseSpectrum, _ProfiledFit, float]:
-    """Return the spectrum up to the highest frequency with the fitted shape, the fit, and the worst ratio."""
+def _choose_band(spectrum: NoiseSpectrum) -> tuple[NoiseSpectrum, _ProfiledFit]:
+    """Return the spectrum up to the highest frequency with the fitted shape, and the fit."""
     while True:
         profile = _ProfiledFit([spectrum])
         ratio = spectrum.pooled / profile.variance()
@@ -336,5 +334,5 @@ def _choose_band(spectrum: NoiseSpectrum) -> tuple[NoiseSpectrum, _ProfiledFit, 
         spread = np.sqrt(2.0 / (spectrum.power.shape[1] * count))
         wrong = (np.abs(ratios - 1.0) > 0.03 + 5.0 * spread) & (count > 100.0)
         if not wrong[:3].any() or spectrum.index[-1] < 2 * ALONE:
-            return spectrum, profile, float(ratios[np.argmax(np.abs(ratios - 1.0) / spread)])
+            return spectrum, profile
         spectrum = spectrum.select(slice(0, int(np.searchsorted(-octaves, 0))))
