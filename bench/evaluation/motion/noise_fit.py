@@ -207,24 +207,28 @@ class _ProfiledFit:
         shape, one = self._shape(self.model, self.correlation), self.groups[group]
         relative = shape[:, j] / (shape @ self.values[group])
         spread = 1.0 / np.sqrt(0.5 * float((one.count * one.power.shape[1]) @ relative**2))
-        high = value + 2.0 * spread
-        while excess(high) < 0:
-            high = value + 2.0 * (high - value)
-        high = _find_root(excess, max(value, 1e-6 * high), high)
+        step, inside = 2.0 * spread, value
+        while excess(value + step) < 0:
+            inside, step = value + step, 2.0 * step
+        while inside == 0.0:
+            inside, step = (0.5 * step, step) if excess(0.5 * step) < 0 else (0.0, 0.5 * step)
+        high = _find_root(excess, inside, value + step)
         low = 0.0
         if value > 0 and excess(0.0) > 0:
-            low = value
+            inside, low, step = value, max(value - 2.0 * spread, 0.5 * value), 2.0 * spread
             while excess(low) < 0:
-                low *= 0.7
-            low = _find_root(excess, low, min(low / 0.7, value))
+                step *= 2.0
+                inside, low = low, max(value - step, 0.5 * low)
+            low = _find_root(excess, inside, low)
         return NoiseEstimate(float(np.sqrt(value)), float(np.sqrt(low)), float(np.sqrt(high)))
 
 
-def _find_root(excess: Callable[[float], float], low: float, high: float) -> float:
-    """Return where a function crosses zero between two positive values, to 0.5 %."""
-    if excess(low) * excess(high) >= 0:
-        return high
-    found: float = brentq(lambda u: excess(float(np.exp(u))), np.log(low), np.log(high), xtol=5e-3)
+def _find_root(excess: Callable[[float], float], inside: float, outside: float) -> float:
+    """Return where a function becomes positive between two positive values, to 2 % of their distance."""
+    if excess(inside) >= 0:
+        return inside
+    ends = np.sort(np.log([inside, outside]))
+    found: float = brentq(lambda u: excess(float(np.exp(u))), *ends, xtol=0.02 * float(np.ptp(ends)))
     return float(np.exp(found))
 
 
