@@ -254,9 +254,10 @@ def convert_unit(unit: str, *, to: str | None, console: Console, **options: Any)
         tuning = parameters.TUNINGS[to]
         text = (
             f"no conversion exists: the process noise of {tuning.title} is tuned for a whole vehicle, with "
-            "its vibration and timing. The noise of the IMU is a lower bound."
+            "its vibration and timing."
         )
-        sentences = [text, *([tuning.note] if tuning.note else []), f"definitions: {tuning.source}"]
+        note = tuning.note or "The noise of the IMU, at the step of the filter, is a lower bound."
+        sentences = [text, note, f"definitions: {tuning.source}"]
         print_findings(console, sentences, [FindingTable(to, "", parameters.bound_tuning(spec, to))])
         return
     converted = exchanging.convert_unit(unit, to=to, **options)
