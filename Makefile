@@ -54,7 +54,7 @@ check: .venv/ready
 perf: .venv/perf
 	$(BIN)/python -m tests.perf.ratios
 
-# public filters on the flights of the league; about ten minutes, the page bench/guide/league.md
+# public filters on the flights of the league; about half an hour, the page bench/guide/league.md
 league: .venv/league
 	$(BIN)/python -m tests.league --page -o tests/league/league.json
 

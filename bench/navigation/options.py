@@ -350,8 +350,8 @@ class AhrsOptions(GateOptions):
     gravity_period_s: Positive = 1.0
     """Time over which the specific force is averaged before it is compared with gravity [s]."""
     acceleration_sd: NotNegative = 0.3
-    """Standard deviation of the mean acceleration of a period, each axis, from one to the next independent
-    [m/s^2]; a larger acceleration is detected by the length of the specific force, and then counts too."""
+    """Sd of the mean acceleration of a period along each axis, independent between periods [m/s^2]. It grows
+    with a larger acceleration, which shows in the length of the specific force."""
 
 
 _OTHERWISE = {"readmit_after": "; use 'readmit_after_s', the time of rejections in seconds"}

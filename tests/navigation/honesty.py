@@ -171,6 +171,7 @@ def _modeled(triad: TriadSpec) -> TriadSpec:
     return replace(
         triad,
         bias_model="gauss-markov",
+        resolution=0.0,
         temperature_sd=0.0,
         nonlinearity_sd=0.0,
         quadratic_sd=0.0,

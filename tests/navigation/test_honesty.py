@@ -12,7 +12,7 @@ from bench.navigation.built_in import load
 from tests.builders import Z
 from tests.navigation import honesty
 
-OTHER = ("bandwidth", "vibration", "distance", "dead zone", "multipath", "GNSS at all")
+OTHER = ("bandwidth", "rounding", "vibration", "distance", "dead zone", "multipath", "GNSS at all")
 """Words of errors that loose-full has no state or noise for."""
 
 

@@ -126,7 +126,7 @@ def test_of_those_that_meet_the_smallest_the_lightest_and_the_cheapest_are_named
     names = write(tmp_path, a="consumer", b="industrial", c="industrial", d="tactical")
     products = (
         "length_mm = 1.0\nwidth_mm = 1.0\nheight_mm = 1.0\nmass_kg = 0.001\n",
-        "length_mm = 30.0\nwidth_mm = 20.0\nheight_mm = 10.0\nmass_kg = 0.05\npower_w = 1.5\n",
+        "length_mm = 30.0\nwidth_mm = 20.0\nheight_mm = 10.0\nmass_kg = 0.05\npower_mw = 1500.0\n",
         "length_mm = 40.0\nwidth_mm = 20.0\nheight_mm = 10.0\nmass_kg = 0.04\n",
         "price_usd = 900.0\nprice_date = 2026-03-01\n",
     )
@@ -138,8 +138,9 @@ def test_of_those_that_meet_the_smallest_the_lightest_and_the_cheapest_are_named
     found, _ = ask(names, law, most=10.0, runs=73, max_runs=73)
     (told,) = [one.replace(f"{tmp_path}/", "") for one in found.verdicts if "of the 3 units" in one]
     assert told.partition(": ")[2] == (
-        "smallest b.toml (6 cm^3, of 2), lightest c.toml (0.04 kg, of 2), least power b.toml (1.5 W, of 1), "
-        "cheapest by its price d.toml (900 USD, of 1); without a size: d.toml."
+        "smallest b.toml (6 cm^3, of 2), lightest c.toml (0.04 kg, of 2), "
+        "least power b.toml (1500 mW, of 1), cheapest by its price d.toml (900 USD, of 1); "
+        "without a size: d.toml."
     )
     table = next(one for one in found.tables if one.name == "products").columns
     assert table["volume_cm3"] == pytest.approx([1e-3, 6.0, 8.0, None])

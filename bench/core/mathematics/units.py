@@ -87,7 +87,7 @@ ENDINGS: Mapping[str, Unit] = {
     "_100us": Unit("100us", 1e-4),
     "_g": Unit("g", _G),
     "_kg": Unit("kg"),
-    "_w": Unit("W"),
+    "_mw": Unit("mW", 1e-3),
     "_hz": Unit("Hz"),
     "_pa": Unit("Pa"),
     "_nt": Unit("nT", 1e-9),

@@ -32,7 +32,7 @@ class ProductTable(Table):
     """Third side."""
     mass_kg: Annotated[float, between(1e-6, 1000)] | None = None
     """Mass."""
-    power_w: Annotated[float, between(1e-6, 1000)] | None = None
+    power_mw: Annotated[float, between(1e-3, 1e6)] | None = None
     """Typical power."""
     price_usd: Annotated[float, between(0.01, 1e7)] | None = None
     """Price of one, printed by the maker."""

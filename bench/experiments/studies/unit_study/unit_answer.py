@@ -176,7 +176,7 @@ def tell_products(answer: Answer, units: Mapping[str, CatalogImu]) -> Iterator[s
 _PRODUCT: Sequence[tuple[str, str, Callable[[ProductTable], float | None]]] = (
     ("smallest", "cm^3", lambda product: product.volume),
     ("lightest", "kg", lambda product: product.mass_kg),
-    ("least power", "W", lambda product: product.power_w),
+    ("least power", "mW", lambda product: product.power_mw),
     ("cheapest by its price", "USD", lambda product: product.price_usd),
 )
 
@@ -250,7 +250,7 @@ def _fill_products(units: Mapping[str, CatalogImu]) -> Iterator[FindingTable]:
     rows = [(name, *(take(unit.product) for _, _, take in _PRODUCT)) for name, unit in units.items()]
     rows = [row for row in rows if any(size is not None for size in row[1:])]
     if rows:
-        names = ("unit", "volume_cm3", "mass_kg", "power_w", "price_usd")
+        names = ("unit", "volume_cm3", "mass_kg", "power_mw", "price_usd")
         yield make_table("products", "Size, mass, power and price, by datasheets that have them", names, rows)
 
 
