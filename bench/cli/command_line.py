@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import _thread
 import gc
 import signal
 import sys
@@ -48,9 +49,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if not over.is_set():
             raise KeyboardInterrupt
 
-    numbers = [
-        n for n in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP) if signal.getsignal(n) != signal.SIG_IGN
-    ]
+    names = ("SIGINT", "SIGTERM", "SIGHUP")  # Windows lacks the last
+    numbers = [getattr(signal, name) for name in names if hasattr(signal, name)]
+    numbers = [number for number in numbers if signal.getsignal(number) != signal.SIG_IGN]
     before = {number: signal.signal(number, interrupt) for number in numbers}
     hook, printer, threshold = sys.unraisablehook, sys.excepthook, gc.get_threshold()
     sys.unraisablehook = lambda event: _raise_again(event, hook)
@@ -99,6 +100,9 @@ def _run(arguments: Sequence[str] | None, interrupted: threading.Event) -> int:
 def _raise_again(event: Any, hook: Callable[[Any], object]) -> None:
     """Interrupt the main thread again if Python dropped the interrupt, as in ``__del__``."""
     if issubclass(event.exc_type, KeyboardInterrupt):
+        if sys.platform == "win32":
+            threading.Timer(0.01, _thread.interrupt_main).start()
+            return
         main_thread = threading.main_thread().ident or 0
         threading.Timer(0.01, signal.pthread_kill, (main_thread, signal.SIGINT)).start()
     else:

@@ -182,8 +182,10 @@ def wait_for(command: Sequence[str]) -> int:
     """Run a command in its own process group and return its status; the group is ended on return.
 
     It is ended too when the process that started this one ends, unless SIGHUP is ignored (nohup), and on
-    Linux when this process is killed.
+    Linux when this process is killed. On Windows it is a plain child.
     """
+    if sys.platform == "win32":
+        return subprocess.call(command)
     parent, stays = os.getppid(), signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
     child = subprocess.Popen(command, start_new_session=True, preexec_fn=_end_with_parent)
     try:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 import mmap
 import os
+import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -146,7 +147,7 @@ def release() -> None:
     """
     mapped = list(_mapped)
     for memory in mapped if sum(map(len, mapped)) >= SPARED else ():
-        if hasattr(memory, "madvise"):
+        if sys.platform != "win32" and hasattr(memory, "madvise"):
             memory.madvise(mmap.MADV_DONTNEED)
 
 

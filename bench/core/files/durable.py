@@ -86,8 +86,23 @@ def append(descriptor: int, data: bytes, at: int, path: Path) -> None:
     done = 0
     while done < len(data):
         before("write", path)
-        done += os.pwrite(descriptor, data[done:], at + done)
+        done += _write_at(descriptor, data[done:], at + done)
     _sync(descriptor, path)
+
+
+def _write_at(descriptor: int, data: bytes, at: int) -> int:
+    if sys.platform == "win32":
+        os.lseek(descriptor, at, os.SEEK_SET)
+        return os.write(descriptor, data)
+    return os.pwrite(descriptor, data, at)
+
+
+def read_at(descriptor: int, length: int, at: int) -> bytes:
+    """Return the bytes from a place of an open file; fewer if the file ends before."""
+    if sys.platform == "win32":
+        os.lseek(descriptor, at, os.SEEK_SET)
+        return os.read(descriptor, length)
+    return os.pread(descriptor, length, at)
 
 
 def rename(old: Path, new: Path) -> None:

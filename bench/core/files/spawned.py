@@ -18,6 +18,9 @@ LOOK = 0.05
 PATIENCE = 2.0
 """Time between a signal that asks a process to end and SIGKILL [s]."""
 
+KILL: signal.Signals = getattr(signal, "SIGKILL", signal.SIGTERM)
+"""Signal that ends a process at once; Windows has SIGTERM for that."""
+
 
 def machine_memory() -> float:
     """Return the memory of this machine, or of the container this runs in [byte]."""
@@ -129,9 +132,26 @@ def find_last_line(text: str) -> str:
 def end_group(
     child: subprocess.Popen[bytes], first: signal.Signals = signal.SIGTERM, patience: float = PATIENCE
 ) -> None:
-    """End a process that leads a group, and all of the group: by a first signal, then by SIGKILL."""
-    for number in (first, signal.SIGKILL):
+    """End a process that leads a group, and all of the group: by a first signal, then by SIGKILL.
+
+    Windows has no groups: see `end_tree`.
+    """
+    if sys.platform == "win32":
+        end_tree(child)
+        return
+    for number in (first, KILL):
         with contextlib.suppress(ProcessLookupError, PermissionError):
             os.killpg(child.pid, number)
         with contextlib.suppress(subprocess.TimeoutExpired):
             child.wait(patience)
+
+
+def end_tree(child: subprocess.Popen[bytes]) -> None:
+    """End a process and the processes that it has started, unless their parent has ended before."""
+    with contextlib.suppress(psutil.Error):
+        own = psutil.Process(child.pid)
+        for one in (*own.children(recursive=True), own):
+            with contextlib.suppress(psutil.Error):
+                one.kill()
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        child.wait(PATIENCE)

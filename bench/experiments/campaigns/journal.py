@@ -85,7 +85,7 @@ class Journal:
         self._places: dict[str, tuple[int, int]] = {}
         self._end = 0  # of the last whole line
         self.damaged = 0  # lines that do not count
-        self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+        self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_BINARY", 0), 0o666)
         with path.open("rb") as file:
             for line in file:
                 if not line.endswith(b"\n"):  # it was being written when the driver ended
@@ -114,7 +114,7 @@ class Journal:
 
     def __getitem__(self, key: str) -> dict[str, Any]:
         start, length = self._places[key]
-        row = _parse(os.pread(self._descriptor, length, start))
+        row = _parse(durable.read_at(self._descriptor, length, start))
         if row is None:
             raise OSError(0, "damaged while it was in use", str(self._path))
         return row

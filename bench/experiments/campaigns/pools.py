@@ -16,6 +16,7 @@ from multiprocessing import connection
 from multiprocessing.process import BaseProcess
 from typing import Any
 
+from bench.core.files.spawned import KILL
 from bench.experiments.campaigns.heap import keep_freed_memory
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
@@ -126,7 +127,7 @@ class ProcessPool(_LocalPool):
     def _end(self, *, at_once: bool) -> None:
         if self._executor is not None:
             self._executor.shutdown(wait=not at_once, cancel_futures=True)
-        for number in (signal.SIGTERM, signal.SIGKILL) if at_once else ():
+        for number in (signal.SIGTERM, KILL) if at_once else ():
             for child in self._own.values():
                 with contextlib.suppress(ProcessLookupError, ValueError):
                     if child.exitcode is None and child.pid is not None:

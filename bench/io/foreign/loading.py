@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import sys
 from collections.abc import Iterable
 from typing import Protocol, Self, runtime_checkable
@@ -26,6 +27,16 @@ def load_estimators(choices: Iterable[EstimatorChoice]) -> list[Estimator]:
     return [one.wait() if isinstance(one, Awaited) else one for one in begun]
 
 
+GUARDS_CLASSES = sys.platform != "win32"
+"""Whether a class gets a process of its own; Windows lacks the sockets and groups that hold it."""
+
+
+@functools.cache
+def _warn_unguarded() -> None:
+    limits = "without --timeout, --memory and --output"
+    print(f"bench: on Windows your class runs in the process of bench, {limits}", file=sys.stderr)
+
+
 @runtime_checkable
 class Awaited(Estimator, Protocol):
     """A filter that is being built in its process."""
@@ -40,9 +51,11 @@ def _begin(choice: EstimatorChoice) -> Estimator:
         from bench.io.foreign import outside
 
         return outside.load(choice)
-    here = choice.guard.in_process or sys.platform == "win32"  # which lacks what holds a process
-    if choice.use in BUILT_IN or here or not built_in.is_class(choice.use):
+    if choice.use in BUILT_IN or choice.guard.in_process or not built_in.is_class(choice.use):
         return built_in.load(choice.use, choice.options)  # what is no name at all is told there
+    if not GUARDS_CLASSES:
+        _warn_unguarded()
+        return built_in.load(choice.use, choice.options)
     from bench.io.foreign.own_process import OwnProcessEstimator
 
     return OwnProcessEstimator(choice)
