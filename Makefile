@@ -3,7 +3,9 @@
 PYTHON ?= python3
 # containers set it; then each process of a test would compile the package again
 export PYTHONDONTWRITEBYTECODE =
-BIN := .venv/bin
+# where an environment has its programs
+PROGRAMS := $(if $(filter Windows_NT,$(OS)),Scripts,bin)
+BIN := .venv/$(PROGRAMS)
 ifneq ($(shell command -v uv),)
 VENV := uv venv --quiet --allow-existing --seed --python $(PYTHON) .venv
 PIP := uv pip install --quiet --python $(BIN)/python
@@ -11,7 +13,8 @@ else
 VENV := $(PYTHON) -m venv .venv
 PIP := $(BIN)/pip install --quiet --disable-pip-version-check --no-compile
 endif
-UV := .uv/bin/uv
+UV := .uv/$(PROGRAMS)/uv
+RELEASE := .release/$(PROGRAMS)
 # short tests that use every dependency
 MINIMA := tests/test_api.py tests/test_compiled.py tests/test_earth.py tests/test_wheel.py tests/config \
 	tests/store tests/recording tests/report/test_report.py tests/signals/test_allan.py \
@@ -20,7 +23,8 @@ MINIMA := tests/test_api.py tests/test_compiled.py tests/test_earth.py tests/tes
 	tests/navigation/test_random_profiles.py tests/navigation/test_unscented.py \
 	tests/campaigns/test_campaign.py tests/campaigns/test_cluster.py tests/cli/test_cli.py
 
-.PHONY: run test long short lint kernels check perf league oracle minima lock mutants guide pictures docs
+.PHONY: run test long short bounds lint kernels check perf league oracle minima newest lock mutants guide pictures docs \
+	dist try-dist audit
 
 run: .venv/core
 	$(BIN)/bench run figure-eight -o runs/first --force
@@ -38,6 +42,10 @@ long: .venv/ready
 # public parts alone, NUMBA_BOUNDSCHECK=1 checks every index of a kernel
 short: .venv/ready
 	$(BIN)/pytest $(MINIMA) -m 'not long and not slow' -n auto --maxprocesses=4 --dist worksteal
+
+# every test with each index of a kernel checked; hours
+bounds: .venv/ready
+	NUMBA_BOUNDSCHECK=1 $(BIN)/pytest -n auto --maxprocesses=4 --dist worksteal
 
 lint: .venv/ready
 	$(BIN)/ruff check .
@@ -78,17 +86,52 @@ docs: .venv/ready
 minima: $(UV)
 	$(UV) venv --quiet --seed --clear --python $(PYTHON) .minima
 	$(UV) pip install --quiet --python .minima --resolution lowest-direct --editable '.[test]'
-	.minima/bin/python -m pytest $(MINIMA) -m 'not long and not slow' --override-ini filterwarnings=default
+	.minima/$(PROGRAMS)/python -m pytest $(MINIMA) -m 'not long and not slow' --override-ini filterwarnings=default
+
+# the newest versions of everything; what they warn of is not ours
+newest: $(UV)
+	$(UV) venv --quiet --seed --clear --python $(PYTHON) .newest
+	$(UV) pip install --quiet --python .newest --upgrade --editable '.[test]'
+	.newest/$(PROGRAMS)/python -m pytest $(MINIMA) -m 'not long and not slow' --override-ini filterwarnings=default
+
+# what a release uploads, and the list of what it needs (SBOM); nothing leaves the machine
+dist: .release/ready
+	rm -rf dist build/sbom && mkdir -p build/sbom
+	$(RELEASE)/python -m build --no-isolation
+	$(RELEASE)/python -m twine check --strict dist/*
+	$(RELEASE)/cyclonedx-py requirements --pyproject pyproject.toml --output-reproducible \
+		--output-file build/sbom/ins-gnss-bench.cdx.json requirements-core.lock
+
+# wheel and source distribution, each alone in an empty environment and an empty folder
+try-dist:
+	for file in dist/*.whl dist/*.tar.gz; do \
+		rm -rf build/try && mkdir -p build/try/empty && $(PYTHON) -m venv build/try/env && \
+		build/try/env/$(PROGRAMS)/python -m pip install --quiet --disable-pip-version-check "$$file" && \
+		(cd build/try/empty && ../env/$(PROGRAMS)/bench --version && \
+		../env/$(PROGRAMS)/bench run figure-eight --force -o runs) || exit 1; \
+	done
+
+# known vulnerabilities of what is installed
+audit: .release/ready
+	$(RELEASE)/pip-audit --disable-pip --require-hashes --requirement requirements.lock
+	$(RELEASE)/pip-audit --disable-pip --require-hashes --requirement requirements-release.lock
+
+.release/ready: pyproject.toml requirements-release.lock
+	$(PYTHON) -m venv .release
+	$(RELEASE)/python -m pip install --quiet --disable-pip-version-check --require-hashes \
+		--requirement requirements-release.lock
+	touch $@
 
 # the newest versions, for every platform and Python; .venv/ready and .venv/core install these and no others
 LOCK := $(UV) pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-annotate --no-header
 lock: $(UV)
 	$(LOCK) --upgrade --extra test --output-file requirements.lock pyproject.toml
 	$(LOCK) --constraint requirements.lock --output-file requirements-core.lock pyproject.toml
+	$(LOCK) --upgrade --group release --output-file requirements-release.lock
 
 $(UV):
 	$(PYTHON) -m venv .uv
-	.uv/bin/pip install --quiet --disable-pip-version-check uv
+	.uv/$(PROGRAMS)/python -m pip install --quiet --disable-pip-version-check uv
 
 # errors in one package that no test notices: tests/mutants
 SEED ?= 1
