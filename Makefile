@@ -113,8 +113,8 @@ try-dist:
 
 # known vulnerabilities of what is installed
 audit: .release/ready
-	$(RELEASE)/pip-audit --disable-pip --require-hashes --requirement requirements.lock
-	$(RELEASE)/pip-audit --disable-pip --require-hashes --requirement requirements-release.lock
+	$(RELEASE)/pip-audit --strict --disable-pip --require-hashes --requirement requirements.lock
+	$(RELEASE)/pip-audit --strict --disable-pip --require-hashes --requirement requirements-release.lock
 
 .release/ready: pyproject.toml requirements-release.lock
 	$(PYTHON) -m venv .release
