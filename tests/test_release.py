@@ -19,6 +19,7 @@ SYSTEMS = {"ubuntu-latest", "macos-latest", "windows-latest"}
 VERSIONS = [
     one.rpartition(" ")[2] for one in PROJECT["classifiers"] if re.fullmatch(r".*Python :: 3\.\d+", one)
 ]
+NEWEST = "3.14"  # Python of the workflows
 OWN = {".py", ".md", ".toml", ".xml", ".typed"}
 """Endings of files that are written for bench."""
 
@@ -56,8 +57,8 @@ def test_a_tag_and_a_short_commit_are_no_pins():
 
 def test_ci_runs_on_each_system_with_the_oldest_python_and_the_newest():
     assert PROJECT["requires-python"] == f">={VERSIONS[0]}"
-    assert [f"3.{k}" for k in range(11, 11 + len(VERSIONS))] == VERSIONS
-    ends, jobs = [VERSIONS[0], VERSIONS[-1]], read_jobs("test")
+    assert int(VERSIONS[-1][2:]) <= int(NEWEST[2:])  # a classifier follows the first run
+    ends, jobs = [VERSIONS[0], NEWEST], read_jobs("test")
     axes = {name: job["strategy"]["matrix"] for name, job in jobs.items()}
     assert axes["test"]["python"] == axes["systems"]["python"] == ends
     assert {jobs["test"]["runs-on"], *axes["systems"]["os"]} == SYSTEMS == set(axes["minima"]["os"])
