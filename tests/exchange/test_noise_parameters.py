@@ -108,7 +108,8 @@ def steps_of(name: str, triad: str) -> tuple[float, float, tuple[float, float]]:
     unit = np.pi / 180 if gyro else 1.0  # gnss-ins-sim: imu_model.py, pathgen.py
     walk = p["gyro_arw" if gyro else "accel_vrw"][0] * unit / 60
     drift = p["gyro_b_stability"][0] * unit / 3600 if gyro else p["accel_b_stability"][0]
-    return walk / np.sqrt(dt), 0.0, (1 - dt / p["gyro_b_corr" if gyro else "accel_b_corr"][0], dt * drift)
+    decay = dt / p["gyro_b_corr" if gyro else "accel_b_corr"][0]
+    return walk / np.sqrt(dt), 0.0, (1 - decay, drift * np.sqrt(1 - np.exp(-2 * decay)))
 
 
 @pytest.mark.parametrize("triad", ["gyro", "accel"])
@@ -304,3 +305,29 @@ def test_python_converts_as_the_verb_does():
     with pytest.raises(ConfigError, match="one of to and source"):
         bench.convert_unit("stim300")
     assert bench.convert_unit("stim300", to="kf-gins").program == "kf-gins"
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("accelerometer_noise_density: TBD, see sheet 7", "= 'TBD, see sheet 7' is not a number"),
+        ("accelerometer_noise_density: !!python/name:os.path 2", "is not a number or a list"),
+        ("accelerometer_noise_density: - 3", "is not a number"),
+        ("accelerometer_noise_density: $ACC_2", "is not a number"),
+        ("accelerometer_noise_density: 1e-3\naccelerometer_noise_density: 2e-3", "stands 2 times; leave one"),
+        ("accelerometer_noise_density: [1e-3, 2e-3]", "has 2 numbers; expected 1"),
+    ],
+)
+def test_text_that_is_no_number_is_not_read(tmp_path, text, message):
+    path = tmp_path / "imu.yaml"
+    path.write_text(f"gyroscope_noise_density: 1.0e-4\n{text}\n")
+    with pytest.raises(ConfigError, match=re.escape(message)):
+        read_parameters(path, "kalibr")
+
+
+def test_no_way_is_no_unknown_program_and_a_walk_needs_a_place(tmp_path):
+    (tmp_path / "x").write_text("EKF2_GYR_NOISE 0.015")
+    with pytest.raises(ConfigError, match="no conversion from px4 exists"):
+        read_parameters(tmp_path / "x", "px4")
+    with pytest.raises(ConfigError, match="kf-gins: it has no rate random walk; leave out --bias-as-walk"):
+        write_parameters(SPEC, "kf-gins", bias_as_walk=True)

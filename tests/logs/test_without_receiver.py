@@ -125,8 +125,14 @@ def test_a_table_of_an_imu_alone_is_navigated(folder, tmp_path, capsys):
     (tmp_path / "imu.csv").write_text((folder / "imu.csv").read_text())
     (tmp_path / "fixes_gnss.csv").write_text("a,b\n1,2\n")
     assert main(["navigate", str(tmp_path / "imu.csv"), "-o", str(tmp_path / "out")]) == 2
-    assert "no columns found for gnss" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "no columns found for gnss" in said
+    assert "but fixes_gnss of fixes_gnss.csv looks like one" in said
     (tmp_path / "fixes_gnss.csv").unlink()
+    text = (
+        (folder / "imu.csv").read_text().replace("gyro_", "angular_velocity_").replace("t_s", "gps_time_s", 1)
+    )
+    (tmp_path / "imu.csv").write_text(text)  # names of the IMU that have words of a receiver
     assert main(["navigate", str(tmp_path / "imu.csv"), "-o", str(tmp_path / "out"), "--no-report"]) == 0
     said = capsys.readouterr().out
     assert "No columns of a receiver: attitude alone." in said

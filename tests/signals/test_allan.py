@@ -393,3 +393,26 @@ def test_noise_is_told_in_the_units_of_datasheets():
     for name, one, unit in (("gyro", gyro, "deg/h"), ("accel", accel, "ug")):
         told = format_noise_figures(name, TriadSpec(bias_instability=5.0 * one, bias_correlation=100.0))
         assert told["bias instability"] == f"5 {unit}"
+
+
+@pytest.mark.parametrize(
+    ("moved", "message"),
+    [
+        ("gyro_y_rad_s", "gyro_y moves, its means of 1 s scatter by 0.2"),
+        ("accel_x_m_s2", "accel_x moves"),
+        (None, r"the mean specific force is 1 m/s\^2, at rest it is 9.8: if the values are in g"),
+    ],
+)
+def test_a_record_that_moves_or_is_in_g_is_no_rest(tmp_path, moved, message):
+    t = np.arange(0.0, 200.0, 0.1)
+    names = [f"{of}_{axis}_{unit}" for of, unit in (("gyro", "rad_s"), ("accel", "m_s2")) for axis in "xyz"]
+    noise = np.random.default_rng(4).normal(size=(len(t), 6)) * 1e-3
+    noise[:, 5] -= 1.0 if moved is None else 9.8
+    if moved:
+        noise[:, names.index(moved)] += (0.3 if moved.startswith("gyro") else 2.0) * np.sin(0.1 * t)
+    path = tmp_path / "desk.csv"
+    np.savetxt(
+        path, np.column_stack([t, noise]), delimiter=",", header=",".join(["t_s", *names]), comments=""
+    )
+    with pytest.raises(ConfigError, match=message):
+        read_resting_log(path)

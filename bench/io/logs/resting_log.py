@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,9 @@ _TRIADS = {
     "gyro": (group("rate", "gyro_x", "gyro_y", "gyro_z"),),
     "accel": (group("acceleration", "accel_x", "accel_y", "accel_z"),),
 }
+_MOVED = {"gyro": (0.05, "rad/s"), "accel": (0.5, "m/s^2")}
+"""Standard deviation of 1 s means of an axis above which an IMU was not at rest."""
+_ONE = 0.1  # distance of the mean specific force from 1 within which it is in g
 _TEMPERATURE = {"temperature": (group("temperature", "temperature"),)}
 
 
@@ -36,8 +40,8 @@ def read_resting_log(path: Path) -> tuple[FloatArray, dict[str, FloatArray], Flo
     Raises
     ------
     ConfigError
-        If the file is missing, is not such a table, has irregular times or is too short. The message names
-        file and row; row 1 is the first below the header.
+        If the file is missing, is not such a table, has irregular times, is too short, or the IMU moves or
+        seems to be in g. The message names file and row; row 1 is the first below the header.
     """
     shown = path.name
     kinds = {"time": (group("time", "t"),), **_TRIADS, **_TEMPERATURE}
@@ -59,4 +63,26 @@ def read_resting_log(path: Path) -> tuple[FloatArray, dict[str, FloatArray], Flo
     if (k := find_first(np.abs(np.diff(t) - step) > 0.5 * step if step > 0 else np.ones(1))) is not None:
         text = f"t_s must increase by about {step:g} s, as in the rest of the file"
         raise ConfigError(f"{shown}: row {k + 2}: {text}")
+    _check_rest(triads, max(1, round(1.0 / step)), shown)
     return t, triads, temperature
+
+
+def _check_rest(triads: Mapping[str, FloatArray], count: int, shown: str) -> None:
+    """Raise ConfigError if the IMU moves, or its forces seem to be in g; ``count``: samples in 1 s."""
+    for name, rates in triads.items():
+        many = min(count, len(rates) // 8)
+        means = rates[: len(rates) // many * many].reshape(-1, many, 3).mean(axis=1)
+        most, unit = _MOVED[name]
+        axis = int(np.argmax(means.std(axis=0)))
+        if (sd := float(means[:, axis].std())) > most:
+            raise ConfigError(
+                f"{shown}: {name}_{'xyz'[axis]} moves, its means of 1 s scatter by {sd:.2g} {unit}: "
+                "record the IMU at rest"
+            )
+    if "accel" in triads:
+        force = float(np.linalg.norm(triads["accel"].mean(axis=0)))
+        if abs(force - 1.0) < _ONE:
+            raise ConfigError(
+                f"{shown}: the mean specific force is {force:.3g} m/s^2, at rest it is 9.8: "
+                "if the values are in g, name the columns accel_x_g, y and z"
+            )

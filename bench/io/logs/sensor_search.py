@@ -242,7 +242,8 @@ def find_beside(imu: FoundSensor | None, path: Path, beside: Sequence[Path]) -> 
     if "imu" in found and "gnss" not in found and alone:
         found["gnss"] = FoundSensor(alone[0], {}, ())
     missing = [kind for kind in ("imu", "gnss") if kind not in found]
-    if missing == ["gnss"] and not wrong and _have_no_place((path, *beside)):
+    placed = _find_placed(found["imu"], path, beside) if missing == ["gnss"] and not wrong else ""
+    if missing == ["gnss"] and not wrong and not placed:
         return found
     if missing:
         if path.suffix.lower() != ".mat" and (message := describe_unreadable(path)):
@@ -260,6 +261,7 @@ def find_beside(imu: FoundSensor | None, path: Path, beside: Sequence[Path]) -> 
         if missing[0] == "gnss":
             named = ", ".join(place.name for place in beside[:10])
             where = f", there or in a table beside it ({named or 'there is none'})"
+            where += f", but {placed} looks like one" if placed else ""
         elif "gnss" in found and found["gnss"].columns:
             where = f", only fixes: {', '.join(found['gnss'].columns.values())}"
         because = f"; {wrong[0]}" if wrong else f"; {_list_ways(missing[0], found)}"
@@ -267,12 +269,17 @@ def find_beside(imu: FoundSensor | None, path: Path, beside: Sequence[Path]) -> 
     return found
 
 
-def _have_no_place(tables: Sequence[Path]) -> bool:
-    """Return whether no table is named like one of a receiver, or has a column that is."""
-    if any(path.suffix.lower() == ".mat" for path in tables):
-        return False
-    names = [name for path in tables for name in (path.stem, *list_columns(path))]
-    return not any(_SAYS_PLACE.fullmatch(name.lower()) for name in names)
+def _find_placed(imu: FoundSensor, path: Path, beside: Sequence[Path]) -> str:
+    """Return what looks like a receiver: a column, not of the IMU, or the name of a table; or ""."""
+    for table in (path, *beside):
+        if table.suffix.lower() == ".mat":
+            return table.name
+        used = set(imu.all_columns.values()) if table == path else set()
+        names = [*([table.stem] if table != path else []), *(set(list_columns(table)) - used)]
+        for name in sorted(names):
+            if _SAYS_PLACE.fullmatch(name.lower()):
+                return f"{name} of {table.name}"
+    return ""
 
 
 def _list_ways(missing: str, found: Mapping[str, FoundSensor]) -> str:

@@ -63,11 +63,13 @@ def write_parameters(
     Raises
     ------
     ConfigError
-        If there is no such program, or it needs a rate.
+        If there is no such program, it needs a rate, or has no rate random walk for the bias.
     """
     program = _find_program(name)
     if rate is None and (program.needs_rate or any("{rate}" in line for line in program.head)):
         raise ConfigError(f"convert to {name}: its file depends on the rate of the samples; give --rate HZ")
+    if bias_as_walk and not any(one.figure == "rate_random_walk" for one in program.parameters):
+        raise ConfigError(f"convert to {name}: it has no rate random walk; leave out --bias-as-walk")
     if bias_as_walk:
         spec = replace(spec, gyro=_add_walk(spec.gyro), accel=_add_walk(spec.accel))
     shown = "" if rate is None else f"{rate:.9g}"
@@ -85,6 +87,8 @@ def write_parameters(
 
 
 def _find_program(name: str) -> Program:
+    if name in TUNINGS:
+        raise ConfigError(f"no conversion from {name} exists: its parameters are of a whole vehicle")
     if name not in PROGRAMS:
         raise ConfigError(f"program {name!r} is unknown{suggest(name, [*PROGRAMS, *TUNINGS], 'programs')}")
     return PROGRAMS[name]
@@ -164,8 +168,7 @@ def read_parameters(path: Path, name: str, rate: float | None = None) -> ImuSpec
     Parameters
     ----------
     path : Path
-        The file: text with lines such as ``key: number`` or ``key = [x, y, z]``. Of a key that stands more
-        than once the first counts.
+        The file: text with lines such as ``key: number`` or ``key = [x, y, z]``, each key once.
     name : str
         A key of `PROGRAMS`.
     rate : float or None
@@ -208,11 +211,16 @@ def read_parameters(path: Path, name: str, rate: float | None = None) -> ImuSpec
 
 def _find_values(text: str, one: Parameter, program: Program, shown: str) -> FloatArray | None:
     """Return the values of a parameter in a file, by axis; None if it is missing."""
-    found = re.search(rf"(?<!\w){re.escape(one.key)}(?!\w)['\"]?[ \t]*[:=(]?(.*)", text)
-    if found is None:
+    found = re.findall(rf"(?<!\w){re.escape(one.key)}(?!\w)['\"]?[ \t]*[:=(]?(.*)", text)
+    if not found:
         return None
-    body = re.split(r";|\.reshape", found[1])[0]
-    values = np.array([float(number) for number in _NUMBER.findall(body)])
+    if len(found) > 1:
+        raise ConfigError(f"{shown}: {one.key} stands {len(found)} times; leave one IMU in the file")
+    body = re.split(r";|\.reshape", found[0])[0].strip()
+    parts = re.sub(r"np\.(array|diag)|[][(){},]", " ", body).split()
+    if not all(_NUMBER.fullmatch(part) for part in parts):
+        raise ConfigError(f"{shown}: {one.key} = {body[:60]!r} is not a number or a list of numbers")
+    values = np.array([float(part) for part in parts])
     counts = _COUNTS[one.layout or program.layout]
     if len(values) not in counts:
         wanted = " or ".join(map(str, counts))

@@ -217,12 +217,12 @@ PROGRAMS: Mapping[str, Program] = {
     "gnss-ins-sim": Program(
         "gnss-ins-sim, the dictionary of an IMU model",
         "Aceinna/gnss-ins-sim: gnss_ins_sim/sim/imu_model.py (keys, units); gnss_ins_sim/pathgen/pathgen.py, "
-        "bias_drift: a step of drift * dt per sample, decay 1 - dt / b_corr",
+        "bias_drift at commit 0d8bc78e: a step of drift * sqrt(1 - exp(-2 dt / b_corr)) (issue 19)",
         (
             Parameter("gyro_arw", "gyro", "random_walk", "deg/sqrt(h)", _DEG_PER_ROOT_HOUR),
             Parameter("accel_vrw", "accel", "random_walk", "m/s/sqrt(h)", _PER_ROOT_HOUR),
-            Parameter("gyro_b_stability", "gyro", "instability_sd", "deg/h", _ROOT2 * HOUR / DEG, 0.5, -0.5),
-            Parameter("accel_b_stability", "accel", "instability_sd", "m/s^2", _ROOT2, 0.5, -0.5),
+            Parameter("gyro_b_stability", "gyro", "instability_sd", "deg/h", HOUR / DEG),
+            Parameter("accel_b_stability", "accel", "instability_sd", "m/s^2"),
             Parameter("gyro_b_corr", "gyro", "bias_correlation", "s"),
             Parameter("accel_b_corr", "accel", "bias_correlation", "s"),
         ),
@@ -230,7 +230,7 @@ PROGRAMS: Mapping[str, Program] = {
         "three",
         head=("import numpy as np", "", "imu_err = {{", "    'gyro_b': np.zeros(3), 'accel_b': np.zeros(3),"),
         tail=("}",),
-        note="bias_drift steps by b_stability * dt: b_stability is the sd times sqrt(2 rate / b_corr).",
+        note="b_stability is the sd; older versions, which step by b_stability * dt, read it otherwise.",
     ),
 }
 """Name of a program -> its parameters."""
