@@ -239,7 +239,8 @@ def test_the_truth_of_a_launch_replays():
     [
         (Winch(to_height=490.0), 0.0, r"490 m not reached: 1000 m of cable gave 3\d\d m; lay out more"),
         (Winch(speed=21.0), 0.0, r"not off the ground on 500 m of the cable, at 2\d m/s; a higher speed"),
-        (Winch(), 16.5, r"a headwind of 1[67] m/s is too strong for 26.6 m/s on the cable, 0.6 of it"),
+        (Winch(), 16.5, r"a headwind of 1[67] m/s is too strong, at most 16 m/s at 26.6 m/s of airspeed"),
+        (Winch(), -7.0, r"a tailwind of 7 m/s is too strong, at most 5 m/s; launch upwind"),
     ],
 )
 def test_a_launch_that_fails_says_why(leg, wind, message):

@@ -56,7 +56,7 @@ def write_tables(league: dict[str, Any], sort: str = "") -> str:
         ]
         parts.append(draw(["filter", "package", "also gets", "converged"], body))
         body = [_write_facts(row) for row in rows]
-        parts.append(draw(["filter", "uses the future", "conventions", "with faults", "CPU"], body))
+        parts.append(draw(["filter", "uses the future", "wrong conventions", "with faults", "CPU"], body))
     minutes = league["cpu_s"] / 60.0
     seed = "the seed of the suite" if league["seed"] is None else f"seed {league['seed']}"
     hashes = ", ".join(f"{kind} {one}" for kind, one in league["suites"].items())

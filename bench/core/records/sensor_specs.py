@@ -43,7 +43,7 @@ class TriadSpec:
     """
 
     random_walk: float = triad_figure(*_NOISE, key="noise", sought="noise", default=0.0, by_axis=True)
-    """White noise of the rate: angular or velocity random walk N [unit/sqrt(s)]."""
+    """White noise: angular or velocity random walk N [unit/sqrt(s)]."""
     bias_instability: float = triad_figure(
         _DRIFT, _ACCELERATION, sought="bias instability", default=0.0, by_axis=True
     )
@@ -67,7 +67,7 @@ class TriadSpec:
     quantization: float = triad_figure(("rad", "deg"), ("m_s",), error="quantization", default=0.0)
     """Resolution of an increment [unit]."""
     resolution: float = triad_figure(("deg_s",), ("ug", "mg"), error="rounding of the rates", default=0.0)
-    """Resolution of the rate: each sample is rounded, and the remainder is lost [unit/s]."""
+    """Resolution: each sample is rounded, and the remainder is lost [unit/s]."""
     rate_random_walk: float = triad_figure(
         ("deg_h_sqrt_h", "deg_s_sqrt_s"), ("ug_sqrt_h",), error="rate random walk", default=0.0, by_axis=True
     )
@@ -184,12 +184,12 @@ class ThermalSpec:
 
 @declared
 class SampleClockSpec:
-    """Clock of an IMU: its time tags run ahead of the samples. 0 switches an error off."""
+    """Clock of an IMU: its time tags are later than the samples. 0 switches an error off."""
 
     drift: float = figure("ppm", 0, 1000, default=0.0)
-    """Growth of the time from a sample to its time tag [1]."""
+    """Rate at which its time tags become later than the samples [1]."""
     jitter: float = figure("us", 0, 1e5, default=0.0)
-    """Largest random part of this time, uniform from 0 for each sample [s]."""
+    """Largest random delay of a time tag, uniform from 0 [s]."""
 
 
 @declared

@@ -21,6 +21,7 @@ from bench.simulation.flight.legs.keys import Key, Speed, write_key
 _SPEED = 1.4  # airspeed on the cable over the slowest airspeed of the glider, if no other is given
 _MOST = 0.75  # height over length of the cable, in a strong headwind
 _WINDY = 0.6  # headwind over the airspeed on the cable
+_BEHIND = 5.0  # largest tailwind [m/s]
 _ROLL = 0.5  # part of the cable that the glider may roll on
 _THROTTLE = 2.0  # in which the throttle of the winch is opened [s]
 _HANDOVER = 1.0  # in which brakes are released and guidance takes the surfaces [s]
@@ -48,9 +49,13 @@ class Winch(Leg):
     kind = "winch"
     flown_by = (GLIDER,)
     needs = "ground"
-    cable: Annotated[float, Key("cable_m", "laid out; in calm air 0.4 of it is gained", 400, 3000)] = 1000.0
+    cable: Annotated[float, Key("cable_m", "length; in calm air it lifts to 0.4 of it", 400, 3000)] = 1000.0
     to_height: (
-        Annotated[float, Key("to_height_m", "above the start; else to a steep cable", 50, 1500)] | None
+        Annotated[
+            float,
+            Key("to_height_m", "release at this height above the start; else at a steep cable", 50, 1500),
+        ]
+        | None
     ) = None
     speed: Speed | None = None
 
@@ -92,7 +97,11 @@ class _Launch:
         if -tailwind > _WINDY * speed:
             what = f"a headwind of {-tailwind:.0f} m/s"
             raise FlightError(
-                f"{what} is too strong for {speed:g} m/s on the cable, {_WINDY:g} of it at most"
+                f"{what} is too strong, at most {_WINDY * speed:.0f} m/s at {speed:g} m/s of airspeed"
+            )
+        if tailwind > _BEHIND:
+            raise FlightError(
+                f"a tailwind of {tailwind:.0f} m/s is too strong, at most {_BEHIND:g} m/s; launch upwind"
             )
         for name, value in {
             "lat-rad": lat[1],
