@@ -9,7 +9,7 @@ import pytest
 
 from tests.test_house import PACKAGE, imported, modules
 
-MOST = {"papers": 47, "receiver": 41, "graph": 24, "hil": 24, "autopilots": 19}
+MOST = {"papers": 47, "receiver": 42, "graph": 24, "hil": 24, "autopilots": 19}
 """Plug-in -> how many modules of the rooms it may import, in functions and for types too."""
 
 ROOMS = {

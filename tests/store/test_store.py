@@ -684,6 +684,7 @@ MAKE_NO_TRUTH = {
     "bench.core.records.orbit_sets": "of the receivers",
     "bench.core.records.run_records": "of the sensors and the filters",
     "bench.core.records.sensor_specs": "of the sensors",
+    "bench.core.records.sky_spec": "of the receivers",
     "bench.core.files.memory_limit": "limits",
     "bench.core.files.places": "where files lie",
     "bench.core.files.scratch": "folders for a while",
