@@ -7,8 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from bench.core.files import durable
 from bench.core.words.exceptions import ConfigError
 from bench.core.words.stages import Progress, Stage, ignore
@@ -87,10 +85,10 @@ def measure_allan(
         raise ConfigError("measure_allan needs an IMU of the catalog or a log")
     if not measured.curves:
         raise ConfigError(f"{measured.name}: has no random error to measure")
-    if picture is not None:
-        allan_picture.draw_allan(Path(picture), measured)
     if sheet is not None:
         write_sheet(Path(sheet), measured)
+    if picture is not None:
+        allan_picture.draw_allan(Path(picture), measured)
     return measured
 
 
@@ -118,11 +116,6 @@ def _measure_log(log: Path, spec: ImuSpec | None) -> AllanResult:
     from bench.io.logs.resting_log import read_resting_log
 
     t, triads, temperature = read_resting_log(log)
-    for name, rates in triads.items():
-        if not np.ptp(rates, axis=0).all():
-            raise ConfigError(
-                f"{log.name}: {name} has an axis that never changes: there is no noise to measure"
-            )
     interval, fits = float(t[-1] - t[0]) / (len(t) - 1), []
     if len(t) >= noise_fit.FEWEST:
         fits = [noise_fit.fit_triad(name, rates, interval, temperature) for name, rates in triads.items()]
@@ -198,7 +191,7 @@ def convert_unit(
         path = Path(unit)
         spec = parameters.read_parameters(path, source, rate)
         text = parameters.format_sheet(spec, path.stem, f"{path.name}, parameters of {source}")
-        converted = parameters.Converted(source, text, ())
+        converted = parameters.Converted(source, text, parameters.list_missing(spec, source))
     else:
         spec = read_imu(*find_datasheet("imu", str(unit), Path()))
         converted = parameters.write_parameters(spec, str(to), rate, bias_as_walk=bias_as_walk)

@@ -331,3 +331,13 @@ def test_no_way_is_no_unknown_program_and_a_walk_needs_a_place(tmp_path):
         read_parameters(tmp_path / "x", "px4")
     with pytest.raises(ConfigError, match="kf-gins: it has no rate random walk; leave out --bias-as-walk"):
         write_parameters(SPEC, "kf-gins", bias_as_walk=True)
+
+
+def test_what_a_file_does_not_have_is_listed(tmp_path):
+    (tmp_path / "imu.yaml").write_text("gyroscope_noise_density: 1.0e-4\ngyroscope_random_walk: 0\n")
+    lost = bench.convert_unit(tmp_path / "imu.yaml", source="kalibr", rate=200.0).lost
+    assert set(lost) == {
+        "gyroscope_random_walk is missing, or 0",
+        "accelerometer_noise_density is missing, or 0",
+        "accelerometer_random_walk is missing, or 0",
+    }

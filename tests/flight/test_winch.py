@@ -121,6 +121,18 @@ def launch_in(wind_from: float, speed: float) -> Launch:
     return LAUNCHED[wind_from, speed]
 
 
+def test_a_launch_across_the_date_line_is_like_any_other():
+    """To the east, the winch on the other side: height and places as 30 degrees to the west."""
+    height, east = [], []
+    for lon in (pi - 50.0 / 6.4e6, pi - 0.5):
+        one = Launch(calm(Static(2.0), Winch(), Straight(2.0), lon=lon, heading=pi / 2))
+        height.append(one.gained())
+        east.append(np.unwrap(one["lon"])[-1] - lon)
+    assert height[0] == pytest.approx(height[1], abs=0.01)
+    assert east[0] == pytest.approx(east[1], rel=1e-4)
+    assert east[0] * 6.4e6 * cos(LAUNCH.lat) > 500.0
+
+
 def test_the_work_of_the_cable_is_energy_and_drag():
     """In still air, by the published polar at the lift that the motion needs."""
     one = launch_in(*WINDS["calm"])

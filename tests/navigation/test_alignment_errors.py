@@ -461,7 +461,7 @@ def test_a_standstill_feels_gravity_alone():
         if stands:
             alignment.complete(data_, initial)
         else:
-            with pytest.raises(EstimatorError, match=r"at 0 s it does not feel gravity alone$"):
+            with pytest.raises(EstimatorError, match=r"at 0 s it does not feel gravity alone but "):
                 alignment.complete(data_, initial)
 
 

@@ -343,7 +343,7 @@ def test_a_log_in_other_units_gives_the_same(here):
 
 
 HEAD = "t_s,gyro_x_rad_s,gyro_y_rad_s,gyro_z_rad_s\n"
-GOOD = "".join(f"{k / 10},0.1,0.2,0.3\n" for k in range(40))
+GOOD, SLOW = ("".join(f"{k * step:.1f},0.1,0.2,0.3\n" for k in range(40)) for step in (0.1, 10.0))
 
 
 @pytest.mark.parametrize(
@@ -356,11 +356,18 @@ GOOD = "".join(f"{k / 10},0.1,0.2,0.3\n" for k in range(40))
         (HEAD.replace("\n", ",gyro_x_deg_s\n"), "are the same quantity"),
         (HEAD + GOOD + "4.0,0.1,oops,0.3\n", "row 41: gyro_y_rad_s = 'oops' is not a number"),
         (HEAD + GOOD + "4.0,0.1\n", "row 41: 2 columns, the header has 4"),
-        (HEAD + GOOD + "4.0,0.1,nan,0.3\n", "row 41: a value is not finite"),
-        (HEAD + GOOD + "3.9,0.1,0.2,0.3\n", "row 41: t_s must increase by about 0.1 s"),
-        (HEAD + GOOD + "9.0,0.1,0.2,0.3\n", "row 41: t_s must increase by about 0.1 s"),
+        (HEAD + GOOD + "4.0,0.1,nan,0.3\n", "row 41: a value of gyro is not finite; cut the record there"),
+        (
+            HEAD + GOOD + "3.9,0.1,0.2,0.3\n",
+            "row 41: t_s steps by 0 s, elsewhere by 0.1 s; cut the record there",
+        ),
+        (HEAD + GOOD + "9.0,0.1,0.2,0.3\n", "row 41: t_s steps by 5.1 s, elsewhere by 0.1 s"),
+        (
+            HEAD + SLOW,
+            "steps of t_s are 10 s; expected",
+        ),
         (HEAD + "0,1,2,3\n", "1 samples; at least 32 are needed"),
-        (HEAD + GOOD, "gyro has an axis that never changes: there is no noise to measure"),
+        (HEAD + GOOD, "gyro_x does not change from row 1 to 40; cut the record there"),
     ],
 )
 def test_a_wrong_log_is_one_line_with_its_place(here, text, message):
@@ -416,3 +423,16 @@ def test_a_record_that_moves_or_is_in_g_is_no_rest(tmp_path, moved, message):
     )
     with pytest.raises(ConfigError, match=message):
         read_resting_log(path)
+
+
+def test_an_axis_that_dies_in_a_record_is_named_and_coarse_values_are_not(tmp_path):
+    """By hand: an axis of 2000 rows stands from row 1201 on; three values at random are no dead axis."""
+    t = np.arange(0.0, 200.0, 0.1)
+    rates = np.round(np.random.default_rng(4).normal(size=(len(t), 3))) * 1e-3
+    for name, last in (("coarse", len(t)), ("dies", 1200)):
+        rates[last:, 1] = 0.0
+        path = tmp_path / f"{name}.csv"
+        np.savetxt(path, np.column_stack([t, rates]), delimiter=",", header=HEAD.strip(), comments="")
+    read_resting_log(tmp_path / "coarse.csv")
+    with pytest.raises(ConfigError, match=r"dies.csv: gyro_y does not change from row (1[12]\d\d) to 2000"):
+        read_resting_log(tmp_path / "dies.csv")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 from rich.console import Console
@@ -234,7 +235,9 @@ def measure_allan(
     if beside is not None and not measured.fits:
         sentences.append(f"no datasheet: a fit needs {FEWEST} samples or more")
     if sheet is not None:
-        sentences.append(f"datasheet: {sheet}; next: bench run figure-eight --set sensors.imu={sheet}")
+        sentences.append(
+            f"datasheet: {sheet}; next: bench run figure-eight --set sensors.imu={quote(str(sheet))}"
+        )
     name = "fit" if measured.fitted else "datasheet"
     print_findings(console, sentences, [tabulate_allan(curve, name) for curve in measured.curves])
     return measured.held

@@ -22,6 +22,8 @@ _TRIADS = {
 }
 _MOVED = {"gyro": (0.05, "rad/s"), "accel": (0.5, "m/s^2")}
 """Standard deviation of 1 s means of an axis above which an IMU was not at rest."""
+_LONGEST_STEP = 1.0  # [s]
+_STUCK = 0.1  # part of a record in which an axis does not change
 _ONE = 0.1  # distance of the mean specific force from 1 within which it is in g
 _TEMPERATURE = {"temperature": (group("temperature", "temperature"),)}
 
@@ -54,14 +56,17 @@ def read_resting_log(path: Path) -> tuple[FloatArray, dict[str, FloatArray], Flo
         raise ConfigError(f"{shown}: no column 'gyro_x_rad_s' or 'accel_x_m_s2' with its y and z")
     if len(t) < FEWEST:
         raise ConfigError(f"{shown}: {len(t)} samples; at least {FEWEST} are needed")
-    finite = np.isfinite(
-        np.column_stack([t, *triads.values(), *([] if temperature is None else [temperature])])
-    ).all(axis=1)
-    if (k := find_first(~finite)) is not None:
-        raise ConfigError(f"{shown}: row {k + 1}: a value is not finite")
-    step = float(np.median(np.diff(t)))
-    if (k := find_first(np.abs(np.diff(t) - step) > 0.5 * step if step > 0 else np.ones(1))) is not None:
-        text = f"t_s must increase by about {step:g} s, as in the rest of the file"
+    for name, values in (("t_s", t[:, None]), *triads.items(), ("temperature", temperature)):
+        bad = None if values is None else ~np.isfinite(values.reshape(len(t), -1)).all(axis=1)
+        if bad is not None and (k := find_first(bad)) is not None:
+            raise ConfigError(f"{shown}: row {k + 1}: a value of {name} is not finite; cut the record there")
+    steps = np.diff(t)
+    step = float(np.median(steps))
+    if not 0 < step <= _LONGEST_STEP:
+        expected = f"expected above 0 to {_LONGEST_STEP:g} s: is it in ms?"
+        raise ConfigError(f"{shown}: steps of t_s are {step:g} s; {expected}")
+    if (k := find_first(np.abs(steps - step) > 0.5 * step)) is not None:
+        text = f"t_s steps by {steps[k]:.6g} s, elsewhere by {step:g} s; cut the record there"
         raise ConfigError(f"{shown}: row {k + 2}: {text}")
     _check_rest(triads, max(1, round(1.0 / step)), shown)
     return t, triads, temperature
@@ -70,6 +75,7 @@ def read_resting_log(path: Path) -> tuple[FloatArray, dict[str, FloatArray], Flo
 def _check_rest(triads: Mapping[str, FloatArray], count: int, shown: str) -> None:
     """Raise ConfigError if the IMU moves, or its forces seem to be in g; ``count``: samples in 1 s."""
     for name, rates in triads.items():
+        _check_change(name, rates, shown)
         many = min(count, len(rates) // 8)
         means = rates[: len(rates) // many * many].reshape(-1, many, 3).mean(axis=1)
         most, unit = _MOVED[name]
@@ -86,3 +92,15 @@ def _check_rest(triads: Mapping[str, FloatArray], count: int, shown: str) -> Non
                 f"{shown}: the mean specific force is {force:.3g} m/s^2, at rest it is 9.8: "
                 "if the values are in g, name the columns accel_x_g, y and z"
             )
+
+
+def _check_change(name: str, rates: FloatArray, shown: str) -> None:
+    """Raise ConfigError if an axis keeps a value for a large part of the record."""
+    for axis, column in zip("xyz", rates.T, strict=True):
+        changes = np.flatnonzero(np.diff(column) != 0.0)
+        ends = np.concatenate(([-1], changes, [len(column) - 1]))
+        longest = int(np.argmax(np.diff(ends)))
+        first, last = int(ends[longest]) + 2, int(ends[longest + 1]) + 1
+        if last - first + 1 > _STUCK * len(column):
+            what = f"{name}_{axis} does not change from row {first} to {last}"
+            raise ConfigError(f"{shown}: {what}; cut the record there, or leave the {name} columns out")

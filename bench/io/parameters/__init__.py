@@ -1,6 +1,12 @@
 """IMU noise parameters of other programs: datasheets into their files and back."""
 
-from bench.io.parameters.conversion import Converted, bound_tuning, read_parameters, write_parameters
+from bench.io.parameters.conversion import (
+    Converted,
+    bound_tuning,
+    list_missing,
+    read_parameters,
+    write_parameters,
+)
 from bench.io.parameters.measured_sheet import (
     format_measured_sheet,
     make_measured_spec,
@@ -16,6 +22,7 @@ __all__ = [
     "bound_tuning",
     "format_measured_sheet",
     "format_sheet",
+    "list_missing",
     "make_measured_spec",
     "read_parameters",
     "summarize_fit",

@@ -209,6 +209,16 @@ def read_parameters(path: Path, name: str, rate: float | None = None) -> ImuSpec
     return ImuSpec(path.stem, _make_triad(found["gyro"]), _make_triad(found["accel"]))
 
 
+def list_missing(spec: ImuSpec, name: str) -> tuple[str, ...]:
+    """Return the keys of a program that a file did not have, or had as 0, by the datasheet read from it."""
+    missing = []
+    for one in _find_program(name).parameters:
+        field = "bias_instability" if one.figure == "instability_sd" else one.figure
+        if not getattr(getattr(spec, one.triad), field):
+            missing.append(f"{one.key} is missing, or 0")
+    return tuple(missing)
+
+
 def _find_values(text: str, one: Parameter, program: Program, shown: str) -> FloatArray | None:
     """Return the values of a parameter in a file, by axis; None if it is missing."""
     found = re.findall(rf"(?<!\w){re.escape(one.key)}(?!\w)['\"]?[ \t]*[:=(]?(.*)", text)

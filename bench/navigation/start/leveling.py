@@ -139,11 +139,11 @@ def _rest(
         REST_FORCE + SIGMAS * np.sqrt(2.0) * specs.accel.random_walk / np.sqrt(WINDOW),
         REST_RATE + SIGMAS * np.sqrt(2.0) * specs.gyro.random_walk / np.sqrt(WINDOW),
     ]
-    change = [np.abs(mean - mean[0]).max(axis=1) for mean in means]
+    change, force = [np.abs(mean - mean[0]).max(axis=1) for mean in means], np.linalg.norm(means[0], axis=1)
     moves = {
         "the specific force changes": change[0] > limits[0],
         "it turns": change[1] > limits[1],
-        "it does not feel gravity alone": np.abs(np.linalg.norm(means[0], axis=1) - g) > REST_FORCE + whole,
+        f"it does not feel gravity alone but {force[0]:.3g} m/s^2": np.abs(force - g) > REST_FORCE + whole,
     }
     for text, rows_moving in moves.items():
         if rows_moving.any() and rows_moving.argmax() < len(ends):

@@ -108,7 +108,7 @@ class _Launch:
             "lon-rad": lon[1],
             "alt-m": cockpit.ground_at(lat[1], lon[1]),
             "north-m_rad": 1000 / (lat[2] - lat[0]),
-            "east-m_rad": 1000 / (lon[3] - lon[0]),
+            "east-m_rad": 1000 / math.remainder(lon[3] - lon[0], math.tau),
             "rope-limit-mps": speed + tailwind,
             "hook-norm": 1.0,
         }.items():
