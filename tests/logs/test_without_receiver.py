@@ -142,3 +142,13 @@ def test_a_table_of_an_imu_alone_is_navigated(folder, tmp_path, capsys):
     roll, pitch, _ = np.rad2deg(rotation.to_euler(solution.q_nb[-1]))
     assert abs(roll - 3.0) < 0.5
     assert abs(pitch + 5.0) < 0.5
+
+
+def test_a_recording_too_short_to_start_says_its_length_and_leaves_nothing(folder, tmp_path, capsys):
+    lines = (folder / "imu.csv").read_text().splitlines(keepends=True)
+    (tmp_path / "five.csv").write_text("".join(lines[:6]))
+    assert main(["navigate", str(tmp_path / "five.csv")]) == 2
+    said = capsys.readouterr().err
+    assert "five: the recording is 0.0" in said
+    assert "s long; a start at rest needs 10 s" in said
+    assert [path.name for path in tmp_path.iterdir()] == ["five.csv"]

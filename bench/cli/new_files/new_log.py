@@ -287,6 +287,11 @@ def _choose_start(log: Path, text: str, records: LogRecords) -> str:
         )
         lines = f'kind = "level"  # {why}\nduration_s = {rest:.1f}\n'
         begin = rest + 3.0
+        if begin >= last and not len(records.fixes):
+            raise ConfigError(
+                f"{log.with_suffix('').name}: the recording is {last:.3g} s long; a start at rest needs "
+                f"{_ALIGNS:g} s, and 3 s to evaluate after it"
+            )
     if last <= 60.0 / (1.0 - _SHARE):  # the default of from_s is late in it, or after it
         lines += f"\n[evaluation]\nfrom_s = {begin:.1f}\n"
     return head + lines
