@@ -310,7 +310,7 @@ def _make_table(folder: Path, what: str) -> Case:
     if what.startswith("solution"):
         columns |= {f"{stem}_{a}_m": 1.0 + 0 * t for stem in ("sd_pos",) for a in "ned"}
     if what.startswith("resting"):
-        rest = np.random.default_rng(1).normal(size=(6, n))
+        rest = 0.001 * np.random.default_rng(1).normal(size=(6, n)) + np.array([[0, 0, 0, 0, 0, -9.8]]).T
         columns = {"t_s": t} | {f"gyro_{a}_rad_s": rest[k] for k, a in enumerate("xyz")}
         columns |= {f"accel_{a}_m_s2": rest[3 + k] for k, a in enumerate("xyz")}
     path = folder / f"table.{kind}"
