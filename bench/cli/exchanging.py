@@ -15,6 +15,7 @@ from bench.io import results
 if TYPE_CHECKING:
     from bench.core.records.sensor_specs import ImuSpec
     from bench.evaluation.motion.noise_curves import AllanResult
+    from bench.evaluation.motion.pose_fit import PoseFit
     from bench.io.foreign.scoring import Score
     from bench.io.parameters import Converted
     from bench.io.streams.streaming import Streamed
@@ -27,6 +28,7 @@ def measure_allan(
     seed: int = 1,
     picture: str | Path | None = None,
     sheet: str | Path | None = None,
+    gravity: float | None = None,
     force: bool = False,
 ) -> AllanResult:
     """Compute the Allan deviation of an IMU and compare it with its datasheet.
@@ -36,13 +38,16 @@ def measure_allan(
     unit : str, optional
         Catalog name of an IMU, or path of a datasheet. Its model is measured or, with ``log``, compared.
     log : str or Path, optional
-        Table of an IMU at rest (`bench.io.logs.resting_log.read_resting_log`).
+        Table of an IMU at rest (`bench.io.logs.resting_log.read_resting_log`). If it rests in six poses or
+        more, its scale factors, misalignments and biases are fitted, too, and the noise to the longest rest.
     seed : int, optional
         Seed of the noise of the model. Default: 1.
     picture : str or Path, optional
         File to draw the curves into: .png, .svg or .pdf.
     sheet : str or Path, optional
         File, .toml, to write the datasheet into that is fitted to the log.
+    gravity : float, optional
+        Gravity where the log was recorded [m/s^2]. Default: 9.80665.
     force : bool, optional
         Replace the picture and the datasheet.
 
@@ -50,7 +55,8 @@ def measure_allan(
     -------
     AllanResult
         ``curves``: averaging times [s], Allan deviations [rad/s; m/s^2] with 99.9 % bands, and the curve of
-        each term of the datasheet, or of the fit. ``fits``: the parameters fitted to the log.
+        each term of the datasheet, or of the fit. ``fits``: the parameters fitted to the log. ``poses``:
+        errors fitted to its poses.
 
     Raises
     ------
@@ -77,7 +83,7 @@ def measure_allan(
             raise ConfigError(f"{sheet}: a datasheet is fitted to a log; name it with --log")
     spec = None if unit is None else read_imu(*find_datasheet("imu", unit, Path()))
     if log is not None:
-        measured = _measure_log(Path(log), spec)
+        measured = _measure_log(Path(log), spec, gravity)
     elif spec is not None:
         curves = noise_curves.measure_model(spec, seed)
         measured = noise_curves.AllanResult(spec.name, tuple(curves), spec, simulated=True)
@@ -105,18 +111,27 @@ def write_sheet(path: Path, measured: AllanResult) -> None:
     from bench.io import parameters
 
     if not measured.fits:
-        raise ConfigError(f"{path}: a datasheet needs a log of {FEWEST} samples or more")
-    durable.write(path, parameters.format_measured_sheet(path.stem, measured.record, measured.fits))
+        raise ConfigError(f"{path}: a datasheet needs {FEWEST} samples or more at rest in one pose")
+    durable.write(path, parameters.format_measured_sheet(path.stem, measured))
 
 
-def _measure_log(log: Path, spec: ImuSpec | None) -> AllanResult:
+def _measure_log(log: Path, spec: ImuSpec | None, gravity: float | None) -> AllanResult:
     """Measure and fit a log of an IMU at rest, and compare it with a datasheet or the fit."""
-    from bench.evaluation.motion import noise_curves, noise_fit
+    from bench.core.mathematics.units import STANDARD_GRAVITY
+    from bench.evaluation.motion import noise_curves, noise_fit, pose_fit
     from bench.io import parameters
     from bench.io.logs.resting_log import read_resting_log
 
-    t, triads, temperature = read_resting_log(log)
-    interval, fits = float(t[-1] - t[0]) / (len(t) - 1), []
+    desk = read_resting_log(log)
+    interval, fits = float(desk.t[-1] - desk.t[0]) / (len(desk.t) - 1), []
+    poses: list[PoseFit] = []
+    if len(desk.rests) > 1:
+        poses = pose_fit.fit_poses(desk.triads, desk.rests, interval, gravity)
+    elif gravity is not None:
+        raise ConfigError(f"{log}: rests in one pose: the gravity has no use; leave it out")
+    rest = max(desk.rests, key=lambda rows: rows.stop - rows.start)
+    t, triads = desk.t[rest], {name: rates[rest] for name, rates in desk.triads.items()}
+    temperature = None if desk.temperature is None else desk.temperature[rest]
     if len(t) >= noise_fit.FEWEST:
         fits = [noise_fit.fit_triad(name, rates, interval, temperature) for name, rates in triads.items()]
         triads = {
@@ -124,12 +139,14 @@ def _measure_log(log: Path, spec: ImuSpec | None) -> AllanResult:
         }
     fitted = spec is None and bool(fits)
     name = log.stem + (f" and {spec.name}" if spec else "")
-    spec = parameters.make_measured_spec(log.stem, fits) if fitted else spec
+    spec = parameters.make_measured_spec(log.stem, fits, poses) if fitted else spec
     curves = tuple(noise_curves.measure_record(t, triads, spec))
     length = interval * len(t)
     span = f"{length / 3600.0:.3g} h" if length > 1000.0 else f"{length:.3g} s"
     record = f"{log.name}, {span} at {1.0 / interval:.4g} Hz"
-    return noise_curves.AllanResult(name, curves, spec, False, tuple(fits), fitted, record)
+    if poses:
+        record += f", and {poses[-1].count} poses in a gravity of {gravity or STANDARD_GRAVITY:g} m/s^2"
+    return noise_curves.AllanResult(name, curves, spec, False, tuple(fits), fitted, record, tuple(poses))
 
 
 def convert_unit(

@@ -130,6 +130,12 @@ def show(folder: Path | None) -> int:
     help="write the datasheet fitted to the log  [default without UNIT: unit-<log>.toml]",
 )
 @click.option("--seed", type=click.IntRange(min=0), default=1, metavar="N", help="seed of the noise")
+@click.option(
+    "--gravity",
+    type=click.FloatRange(9.7, 9.9),
+    metavar="M_S2",
+    help="gravity where a log with several poses was recorded  [default: 9.80665]",
+)
 @force_option("picture and the datasheet")
 def allan(unit: str | None, log: Path | None, **options: Any) -> int:
     """Measure the Allan deviation of an IMU.
@@ -143,7 +149,9 @@ def allan(unit: str | None, log: Path | None, **options: Any) -> int:
 
     FILE is a table (.csv, .parquet, .mat) of an IMU at rest, one row per sample. The columns are
     t_s, gyro_x_rad_s (or deg_s, deg_h), gyro_y_..., gyro_z_..., accel_x_m_s2 (or g, mg) and so on.
-    One of the two triads may be missing. The effect of temperature_degc is removed.
+    One of the two triads may be missing. The effect of temperature_degc is removed. If the IMU
+    rests in six poses or more for 5 s each, scale factors, misalignments and biases are
+    fitted, too, and the noise to the longest rest.
 
     \b
     Examples:

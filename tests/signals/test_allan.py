@@ -273,7 +273,8 @@ def test_allan_of_a_unit_prints_the_table_and_draws_the_picture(here, capsys):
 def test_allan_of_a_log_writes_a_datasheet_that_a_profile_accepts(here, capsys):
     """N within 1 %, K within 10 %: 20 s, where the walk begins to rule, have 300 degrees of freedom."""
     desk_log(here / "desk.csv")
-    t, triads, temperature = read_resting_log(here / "desk.csv")
+    desk = read_resting_log(here / "desk.csv")
+    t, triads, temperature = desk.t, desk.triads, desk.temperature
     assert (list(triads), temperature) == (["gyro"], None)
     assert len(t) == 100_000
     assert main(["allan", "--log", "desk.csv"]) == 0
@@ -306,7 +307,7 @@ def test_a_short_log_has_curves_and_no_datasheet(here, capsys):
     assert "no datasheet: a fit needs 1024 samples or more" in capsys.readouterr().out
     assert list(here.glob("*.toml")) == []
     assert main(["allan", "--log", "desk.csv", "--sheet", "mine.toml", "--force"]) == 2
-    assert "mine.toml: a datasheet needs a log of 1024 samples" in capsys.readouterr().err
+    assert "mine.toml: a datasheet needs 1024 samples or more at rest in one pose" in capsys.readouterr().err
     assert main(["allan", "stim300", "--sheet", "mine.toml"]) == 2
     assert "mine.toml: a datasheet is fitted to a log" in capsys.readouterr().err
     assert main(["allan", "--log", "desk.csv", "--sheet", "mine.txt", "--force"]) == 2

@@ -213,6 +213,7 @@ def measure_allan(
     sheet: Path | None,
     force: bool,
     seed: int,
+    gravity: float | None,
     console: Console,
 ) -> bool:
     """Print and draw the Allan deviation of an IMU or a log; return whether the model is within its bands.
@@ -224,11 +225,14 @@ def measure_allan(
     beside = Path(f"unit-{source}.toml") if sheet is None and unit is None else None
     if beside is not None:
         exchanging.check_sheet(beside, force=force)
-    measured = exchanging.measure_allan(unit, log=log, seed=seed, picture=picture, sheet=sheet, force=force)
+    measured = exchanging.measure_allan(
+        unit, log=log, seed=seed, picture=picture, sheet=sheet, gravity=gravity, force=force
+    )
     if beside is not None and measured.fits:
         exchanging.write_sheet(beside, measured)
         sheet = beside
     fits = [parameters.summarize_fit(fit) for fit in measured.fits]
+    fits += [parameters.summarize_poses(one) for one in measured.poses]
     mark = " (!)" if measured.outside else ""
     outside = f"{measured.outside} of {measured.points} values lie outside their 99.9 % band{mark}."
     sentences = [*fits, f"picture: {picture}", *([outside] if measured.simulated else [])]

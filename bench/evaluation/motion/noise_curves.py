@@ -14,6 +14,7 @@ from bench.core.mathematics.units import STANDARD_GRAVITY
 from bench.core.records.data import AirData, Trajectory, no_controls, no_events
 from bench.core.records.sensor_specs import ImuSpec, TriadSpec
 from bench.evaluation.motion.noise_fit import NoiseFit
+from bench.evaluation.motion.pose_fit import PoseFit
 from bench.simulation.sensors import imu
 from bench.simulation.sensors.draws import SensorDraws
 from bench.simulation.sensors.processes import make_noise_terms
@@ -58,7 +59,8 @@ class AllanResult:
     simulated: bool  # True: measured on the model of the datasheet; False: on a log
     fits: tuple[NoiseFit, ...] = ()  # of a log of at least `noise_fit.FEWEST` samples
     fitted: bool = False  # spec has the figures fitted to the log
-    record: str = ""  # the log in words
+    record: str = ""  # the log in words, or its longest rest
+    poses: tuple[PoseFit, ...] = ()  # of a log with several poses
 
     @property
     def points(self) -> int:

@@ -1,8 +1,9 @@
-"""Read the log of an IMU at rest, to measure its Allan deviation."""
+"""Read the log of an IMU at rest, in one pose or in several, to measure its errors."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ import numpy as np
 from bench.core.mathematics.arrays import FloatArray
 from bench.core.words.exceptions import ConfigError
 from bench.evaluation.motion.noise_curves import INDEPENDENT
+from bench.evaluation.motion.pose_fit import FEWEST_POSES, count_poses, find_rests
 from bench.io.logs.table_files import find_first, group, read_table
 
 FEWEST = 2 * INDEPENDENT
@@ -28,8 +30,18 @@ _ONE = 0.1  # distance of the mean specific force from 1 within which it is in g
 _TEMPERATURE = {"temperature": (group("temperature", "temperature"),)}
 
 
-def read_resting_log(path: Path) -> tuple[FloatArray, dict[str, FloatArray], FloatArray | None]:
-    """Return times (N,) [s], the rates (N, 3) of each triad in SI, and the temperature (N,) or None.
+@dataclass(frozen=True, slots=True)
+class RestingLog:
+    """The samples of an IMU at rest, and of its turns between several rests."""
+
+    t: FloatArray  # (N,) [s]
+    triads: Mapping[str, FloatArray]  # rates (N, 3) of "gyro" and "accel" in SI
+    temperature: FloatArray | None  # (N,) [degC]
+    rests: tuple[slice, ...]  # rows of each rest
+
+
+def read_resting_log(path: Path) -> RestingLog:
+    """Return the samples of an IMU that rests in one pose, or in six poses or more.
 
     Parameters
     ----------
@@ -42,8 +54,9 @@ def read_resting_log(path: Path) -> tuple[FloatArray, dict[str, FloatArray], Flo
     Raises
     ------
     ConfigError
-        If the file is missing, is not such a table, has irregular times, is too short, or the IMU moves or
-        seems to be in g. The message names file and row; row 1 is the first below the header.
+        If the file is missing, is not such a table, has irregular times, is too short, seems to be in g, or
+        the IMU moves and does not rest in six poses. The message names file and row; row 1 is the first
+        below the header.
     """
     shown = path.name
     kinds = {"time": (group("time", "t"),), **_TRIADS, **_TEMPERATURE}
@@ -68,30 +81,37 @@ def read_resting_log(path: Path) -> tuple[FloatArray, dict[str, FloatArray], Flo
     if (k := find_first(np.abs(steps - step) > 0.5 * step)) is not None:
         text = f"t_s steps by {steps[k]:.6g} s, elsewhere by {step:g} s; cut the record there"
         raise ConfigError(f"{shown}: row {k + 2}: {text}")
-    _check_rest(triads, max(1, round(1.0 / step)), shown)
-    return t, triads, temperature
+    return RestingLog(t, triads, temperature, _find_rests(triads, step, shown))
 
 
-def _check_rest(triads: Mapping[str, FloatArray], count: int, shown: str) -> None:
-    """Raise ConfigError if the IMU moves, or its forces seem to be in g; ``count``: samples in 1 s."""
+def _find_rests(triads: Mapping[str, FloatArray], step: float, shown: str) -> tuple[slice, ...]:
+    """Return the rows of each rest; ConfigError if the IMU moves in one pose, or seems to be in g."""
     for name, rates in triads.items():
         _check_change(name, rates, shown)
+    count = max(1, round(1.0 / step))
+    rests: tuple[slice, ...] = (slice(0, len(next(iter(triads.values())))),)
+    for name, rates in triads.items():
         many = min(count, len(rates) // 8)
         means = rates[: len(rates) // many * many].reshape(-1, many, 3).mean(axis=1)
         most, unit = _MOVED[name]
         axis = int(np.argmax(means.std(axis=0)))
         if (sd := float(means[:, axis].std())) > most:
-            raise ConfigError(
-                f"{shown}: {name}_{'xyz'[axis]} moves, its means of 1 s scatter by {sd:.2g} {unit}: "
-                "record the IMU at rest"
-            )
+            rests = tuple(find_rests(triads, step))
+            poses = count_poses([triads["accel"][one].mean(axis=0) for one in rests if "accel" in triads])
+            if poses < FEWEST_POSES:
+                raise ConfigError(
+                    f"{shown}: {name}_{'xyz'[axis]} moves, its means of 1 s scatter by {sd:.2g} {unit}, and "
+                    f"it rests in {poses} poses: record it at rest, or in {FEWEST_POSES} poses, 5 s in each"
+                )
+            break
     if "accel" in triads:
-        force = float(np.linalg.norm(triads["accel"].mean(axis=0)))
+        force = float(np.mean([np.linalg.norm(triads["accel"][one].mean(axis=0)) for one in rests]))
         if abs(force - 1.0) < _ONE:
             raise ConfigError(
                 f"{shown}: the mean specific force is {force:.3g} m/s^2, at rest it is 9.8: "
                 "if the values are in g, name the columns accel_x_g, y and z"
             )
+    return rests
 
 
 def _check_change(name: str, rates: FloatArray, shown: str) -> None:

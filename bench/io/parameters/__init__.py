@@ -11,6 +11,7 @@ from bench.io.parameters.measured_sheet import (
     format_measured_sheet,
     make_measured_spec,
     summarize_fit,
+    summarize_poses,
 )
 from bench.io.parameters.programs import PROGRAMS, TUNINGS
 from bench.io.parameters.sheet_text import format_sheet
@@ -26,5 +27,6 @@ __all__ = [
     "make_measured_spec",
     "read_parameters",
     "summarize_fit",
+    "summarize_poses",
     "write_parameters",
 ]
