@@ -437,3 +437,23 @@ def test_an_axis_that_dies_in_a_record_is_named_and_coarse_values_are_not(tmp_pa
     read_resting_log(tmp_path / "coarse.csv")
     with pytest.raises(ConfigError, match=r"dies.csv: gyro_y does not change from row (1[12]\d\d) to 2000"):
         read_resting_log(tmp_path / "dies.csv")
+
+
+@pytest.mark.parametrize("sd", [0.1, 0.3, 0.45, 0.6, 2.0])
+def test_noise_that_rounding_hides_is_not_measured(tmp_path, sd):
+    """Where noise is half a step or more, the fit of rounded values is that of noise and step / sqrt(12)."""
+    t = np.arange(0.0, 400.0, 0.1)
+    whole = np.random.default_rng(4).normal(size=(len(t), 3)) * sd + 0.47
+    rates = 1e-3 * np.round(whole)
+    np.savetxt(
+        tmp_path / "a.csv", np.column_stack([t, rates]), delimiter=",", header=HEAD.strip(), comments=""
+    )
+    if sd < 0.5:
+        with pytest.raises(
+            ConfigError, match=r"gyro_x (has steps of 0.001, and scatters by|does not change)"
+        ):
+            read_resting_log(tmp_path / "a.csv")
+        return
+    (fit,) = bench.measure_allan(log=tmp_path / "a.csv").fits
+    noise = np.sqrt(sd**2 + 1 / 12) * 1e-3 * np.sqrt(0.1)
+    assert fit.estimates["random_walk"].value == pytest.approx(noise, rel=0.05)

@@ -26,6 +26,8 @@ _MOVED = {"gyro": (0.05, "rad/s"), "accel": (0.5, "m/s^2")}
 """Standard deviation of 1 s means of an axis above which an IMU was not at rest."""
 _LONGEST_STEP = 1.0  # [s]
 _STUCK = 0.1  # part of a record in which an axis does not change
+_FINE = 0.58  # scatter over step of a rounded axis: where its noise is half a step, noise and rounding add up
+_FEW = 200  # distinct values below which an axis may be rounded
 _ONE = 0.1  # distance of the mean specific force from 1 within which it is in g
 _TEMPERATURE = {"temperature": (group("temperature", "temperature"),)}
 
@@ -87,7 +89,7 @@ def read_resting_log(path: Path) -> RestingLog:
 def _find_rests(triads: Mapping[str, FloatArray], step: float, shown: str) -> tuple[slice, ...]:
     """Return the rows of each rest; ConfigError if the IMU moves in one pose, or seems to be in g."""
     for name, rates in triads.items():
-        _check_change(name, rates, shown)
+        _check_values(name, rates, shown)
     count = max(1, round(1.0 / step))
     rests: tuple[slice, ...] = (slice(0, len(next(iter(triads.values())))),)
     for name, rates in triads.items():
@@ -114,8 +116,8 @@ def _find_rests(triads: Mapping[str, FloatArray], step: float, shown: str) -> tu
     return rests
 
 
-def _check_change(name: str, rates: FloatArray, shown: str) -> None:
-    """Raise ConfigError if an axis keeps a value for a large part of the record."""
+def _check_values(name: str, rates: FloatArray, shown: str) -> None:
+    """Raise ConfigError if an axis keeps a value for a large part of the record, or is rounded too coarsely."""
     for axis, column in zip("xyz", rates.T, strict=True):
         changes = np.flatnonzero(np.diff(column) != 0.0)
         ends = np.concatenate(([-1], changes, [len(column) - 1]))
@@ -124,3 +126,10 @@ def _check_change(name: str, rates: FloatArray, shown: str) -> None:
         if last - first + 1 > _STUCK * len(column):
             what = f"{name}_{axis} does not change from row {first} to {last}"
             raise ConfigError(f"{shown}: {what}; cut the record there, or leave the {name} columns out")
+        values = np.unique(column)
+        step = float(np.median(np.diff(values))) if len(values) < _FEW else 0.0
+        if (sd := float(np.diff(column).std()) / np.sqrt(2.0)) < _FINE * step:
+            what = f"{name}_{axis} has steps of {step:.3g}, and scatters by {sd:.2g} {_MOVED[name][1]} only"
+            raise ConfigError(
+                f"{shown}: {what}: rounding hides its noise; record more digits or a smaller range"
+            )
