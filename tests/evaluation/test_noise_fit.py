@@ -15,7 +15,7 @@ from scipy.signal import butter, lfilter
 from scipy.stats import binom
 
 from bench.core.records.sensor_specs import ImuSpec, TriadSpec
-from bench.evaluation.motion.noise_curves import make_resting_truth
+from bench.evaluation.motion.noise_curves import AllanResult, make_resting_truth
 from bench.evaluation.motion.noise_fit import fit_triad, make_transient, remove_effects
 from bench.evaluation.motion.noise_spectrum import PARAMETERS, make_shapes, make_spectrum
 from bench.io.config.datasheets import read_imu
@@ -125,6 +125,10 @@ def test_intervals_hold_the_figures():
     assert all(sum(ones) >= least for ones in held.values()), {k: sum(v) for k, v in held.items()}
 
 
+def write_sheet(name, fits):
+    return format_measured_sheet(name, AllanResult(name, (), None, simulated=False, fits=tuple(fits)))
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("hours", [0.5, 2.0, 12.0])
 def test_intervals_hold_the_figures_in_186_of_200(hours):
@@ -139,7 +143,7 @@ def test_white_noise_alone_identifies_nothing_else():
     assert (fit.transient, fit.temperature, dict(fit.axes), fit.slow) == (None, None, {}, False)
     assert fit.highest == fit.nyquist == RATE / 2
     assert fit.make_triad() == TriadSpec(random_walk=fit.estimates["random_walk"].value)
-    text = format_measured_sheet("mine", "desk.csv", [fit])
+    text = write_sheet("mine", [fit])
     for words in ("bias instability below", "rate random walk below", "quantization below"):
         assert words in text
     assert "bias_instability_deg_h" not in text
@@ -202,7 +206,7 @@ def test_axes_that_differ_have_figures_of_their_own():
     fit = fit_triad("accel", rates, 1 / RATE)
     found = [one.value for one in fit.axes["random_walk"]]
     assert_allclose(found, [1e-3, 1e-3, 1.3e-3], rtol=0.02)
-    text = format_measured_sheet("mine", "desk.csv", [fit])
+    text = write_sheet("mine", [fit])
     assert text.count("noise_m_s_sqrt_h = [") == 1
     assert not fit_triad("accel", rates * [1.3, 1.3, 1.0], 1 / RATE).axes
 
@@ -211,7 +215,7 @@ def test_the_sheet_is_read_back_as_it_was_fitted(tmp_path):
     spec = read_imu(*find_datasheet("imu", "icm-42688-p", Path()))
     fits = [fit_triad(name, rates, 1 / RATE) for name, rates in draw(spec, 1.0, 3).items()]
     path = tmp_path / "unit.toml"
-    path.write_text(format_measured_sheet("unit", "desk.csv, 1 h", fits))
+    path.write_text(write_sheet("unit", fits))
     back = read_imu(path, path.name)
     for fit in fits:
         triad = getattr(back, fit.triad)
@@ -230,7 +234,8 @@ def test_a_real_unit_on_a_desk_has_the_noise_of_its_neighboring_samples():
     """15 s of an x-IMU3: N and the noise from sample to sample agree, B and K are below a bound."""
     import allantools
 
-    t, triads, temperature = read_resting_log(TESTS / "data/strangers/xio_at_rest.parquet")
+    desk = read_resting_log(TESTS / "data/strangers/xio_at_rest.parquet")
+    t, triads, temperature = desk.t, desk.triads, desk.temperature
     interval = (t[-1] - t[0]) / (len(t) - 1)
     assert temperature is None
     for name, rates in triads.items():

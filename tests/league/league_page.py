@@ -113,8 +113,10 @@ def _write_consistency(row: dict[str, Any], flight: str) -> str:
     found = row.get("scores", {}).get(flight, {}).get("honesty")
     if not found:
         return "not reported"
-    blocks = re.findall(r"(position|velocity|attitude) ([^,)]+)", found["sentence"])
-    return f"{', '.join(f'{name} {value}' for name, value in blocks)}: {found['word']}"
+    blocks = {"position": "pos", "velocity": "vel", "attitude": "phi"}
+    ratios = {name: found["parts"].get(f"nees_ratio_{part}") for name, part in blocks.items()}
+    told = ", ".join(f"{name} {write_figure(one)}" for name, one in ratios.items() if one is not None)
+    return f"{told}: {found['word']}"
 
 
 def _write_drift(row: dict[str, Any]) -> str:

@@ -117,7 +117,7 @@ def _find_rests(triads: Mapping[str, FloatArray], step: float, shown: str) -> tu
 
 
 def _check_values(name: str, rates: FloatArray, shown: str) -> None:
-    """Raise ConfigError if an axis keeps a value for a large part of the record, or is rounded too coarsely."""
+    """Raise ConfigError if an axis keeps a value for a large part of the record, or is rounded coarsely."""
     for axis, column in zip("xyz", rates.T, strict=True):
         changes = np.flatnonzero(np.diff(column) != 0.0)
         ends = np.concatenate(([-1], changes, [len(column) - 1]))
@@ -130,6 +130,4 @@ def _check_values(name: str, rates: FloatArray, shown: str) -> None:
         step = float(np.median(np.diff(values))) if len(values) < _FEW else 0.0
         if (sd := float(np.diff(column).std()) / np.sqrt(2.0)) < _FINE * step:
             what = f"{name}_{axis} has steps of {step:.3g}, and scatters by {sd:.2g} {_MOVED[name][1]} only"
-            raise ConfigError(
-                f"{shown}: {what}: rounding hides its noise; record more digits or a smaller range"
-            )
+            raise ConfigError(f"{shown}: {what}: rounding hides its noise; record more digits")
