@@ -183,12 +183,15 @@ def test_a_transient_and_the_temperature_are_removed_before_the_walk_is_measured
     assert not fit.estimates["rate_random_walk"].identified
     cleaned = remove_effects(fit, rates, interval, temperature)
     assert np.std(cleaned.reshape(-1, 1200, 3).mean(axis=1), axis=0).max() < 4.0 * 1e-3 / np.sqrt(60.0)
-    assert "removed a turn-on transient of 27 s" in summarize_fit(fit)
+    assert "a turn-on transient of 27 s" in summarize_fit(fit)
     dirty = fit_triad("gyro", noise + (1e-3 * (temperature - 295.0))[:, None], interval)
     assert dirty.estimates["rate_random_walk"].value > 0 or dirty.estimates["bias_instability"].value > 0
     plain = fit_triad("gyro", noise, interval, temperature)
     assert plain.transient is None
-    assert np.abs(plain.temperature).max() < 1e-4
+    assert plain.temperature is None
+    sheet = fit.make_triad()
+    assert (sheet.transient_time, sheet.transient_sd) == pytest.approx((27.0, 0.01 * np.sqrt(3.0)), rel=0.02)
+    assert sheet.temperature_sd == pytest.approx(1e-3 * np.sqrt(0.75), rel=0.1)
 
 
 def test_noise_beyond_the_bandwidth_is_left_out():

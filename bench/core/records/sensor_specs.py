@@ -309,7 +309,7 @@ class GnssSpec:
     latency_jitter: float = figure("s", 0, 10, default=0.0)
     """Largest addition to the latency, uniform from 0 for each fix; no fix overtakes the one before [s]."""
     time_tag_error: float = figure("s", -10, 10, default=0.0)
-    """Time tag of a fix minus its true time [s]."""
+    """Time tag of a fix minus its true time; a fix with a late tag arrives at its tag [s]."""
     pos_h_smooth_sd: float = figure("m", default=0.0)
     """Error of carrier-smoothed code, Gauss-Markov, each horizontal axis [m]."""
     pos_v_smooth_sd: float = figure("m", default=0.0)

@@ -48,6 +48,7 @@ _TRANSIENTS = (
     0.3,
     1.0,
 )  # time constants of a turn-on transient over the length of the record
+_WARMS = 16.3  # smallest chi-square, 99.9 %, of an effect of the temperature
 _SEEN = 50.0  # smallest chi-square (3 degrees of freedom) of a transient that is removed
 
 
@@ -78,13 +79,13 @@ class NoiseFit:
     slow: bool  # there is a bias instability or a rate random walk, identified or not
     axes: Mapping[str, tuple[NoiseEstimate, ...]] = field(default_factory=dict)  # x, y, z, if they differ
     transient: tuple[float, FloatArray] | None = None  # time constant [s], amplitudes (3,) [unit/s]
-    temperature: FloatArray | None = None  # bias per kelvin (3,) [unit/s/K]
+    temperature: FloatArray | None = None  # bias per kelvin (3,), if significant [unit/s/K]
 
     def make_triad(self) -> TriadSpec:
         """Return the fitted figures as a triad; a parameter that is not identified is 0.
 
         If the record shows a slow noise, but not whether it is the bias instability or the walk, their
-        likeliest values are in the triad.
+        likeliest values are in the triad. Transient and temperature effect enter with the rms of their axes.
         """
         kept = _choose_kept(self.estimates, self.slow)
         values: dict[str, Any] = {name: self.estimates[name].value for name in kept}
@@ -94,11 +95,19 @@ class NoiseFit:
             values[name] = max(x, y, z)
             if name != "quantization":
                 axes.append(AxisFigures(name, x, y, z))
+        if self.transient is not None:
+            values |= {"transient_time": self.transient[0], "transient_sd": _rms(self.transient[1])}
+        if self.temperature is not None:
+            values["temperature_sd"] = _rms(self.temperature)
         if values.get("bias_instability"):
             return TriadSpec(
                 **values, bias_correlation=self.correlation, bias_model=self.model, axes=tuple(axes)
             )
         return TriadSpec(**values, axes=tuple(axes))
+
+
+def _rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
 
 
 def _choose_kept(estimates: Mapping[str, NoiseEstimate], slow: bool) -> list[str]:
@@ -267,7 +276,8 @@ def fit_triad(
     if transient is not None:
         courses = [*courses, make_transient(len(rates), interval, transient)]
     spectrum, profile = _choose_band(add_regressors(spectrum, courses))
-    effects = estimate_effects(spectrum, profile.variance())[0]
+    effects, inverse = estimate_effects(spectrum, profile.variance())
+    warms = has_temperature and float(np.sum(effects[0] ** 2) / inverse[0, 0]) > _WARMS
     estimates, slow = {name: profile.estimate(0, name) for name in PARAMETERS}, profile.has_slow_noise(0)
     return NoiseFit(
         triad,
@@ -279,7 +289,7 @@ def fit_triad(
         slow,
         _fit_axes(spectrum, profile, _choose_kept(estimates, slow)),
         None if transient is None else (transient, effects[-1]),
-        effects[0] if has_temperature else None,
+        effects[0] if warms else None,
     )
 
 

@@ -136,9 +136,9 @@ def list_notes(fit: NoiseFit) -> Iterator[str]:
     if fit.transient is not None:
         time, amplitudes = fit.transient
         sizes = ", ".join(f"{from_si(f'x_{key}', float(size)):.3g}" for size in amplitudes)
-        yield f"removed a turn-on transient of {time:.3g} s with {sizes} {unit_of(f'x_{key}')} on x, y, z"
+        yield f"a turn-on transient of {time:.3g} s with {sizes} {unit_of(f'x_{key}')} on x, y, z"
     if fit.temperature is not None:
         slopes = ", ".join(f"{from_si(f'x_{key}_k', float(one)):.3g}" for one in fit.temperature)
-        yield f"removed a bias of {slopes} {unit_of(f'x_{key}_k')} on x, y, z"
+        yield f"a bias of {slopes} {unit_of(f'x_{key}_k')} on x, y, z"
     if fit.highest < fit.nyquist:
         yield f"fitted up to {fit.highest:.3g} Hz; the noise above has another shape"
