@@ -346,12 +346,12 @@ class AhrsOptions(GateOptions):
     """Options of the attitude filter."""
 
     magnetometer: bool = True
-    """Use the magnetic field if there is a magnetometer; else the heading is that of the start and drifts."""
+    """Use the magnetic field if there is a magnetometer; else the heading drifts from its initial value."""
     gravity_period_s: Positive = 1.0
     """Time over which the specific force is averaged before it is compared with gravity [s]."""
     acceleration_sd: NotNegative = 0.3
-    """Sd of the mean acceleration of a period along each axis, independent between periods [m/s^2]. It grows
-    with a larger acceleration, which shows in the length of the specific force."""
+    """Sd of the mean acceleration of a period along each axis, independent between periods [m/s^2]. The
+    filter raises it while the magnitude of the specific force differs from gravity."""
 
 
 _OTHERWISE = {"readmit_after": "; use 'readmit_after_s', the time of rejections in seconds"}

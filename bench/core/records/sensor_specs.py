@@ -179,7 +179,7 @@ class ThermalSpec:
     time_constant: float = figure("s", default=0.0)
     """Time constant of the warming [s]; 0: immediate."""
     hysteresis: float = figure("k", 0.01, 200, default=10.0)
-    """Change of temperature after which 63 % of the hysteresis has turned over [K]."""
+    """Change of temperature after which 63 % of the hysteresis has reversed [K]."""
 
 
 @declared
@@ -187,7 +187,7 @@ class SampleClockSpec:
     """Clock of an IMU: its time tags are later than the samples. 0 switches an error off."""
 
     drift: float = figure("ppm", 0, 1000, default=0.0)
-    """Rate at which its time tags become later than the samples [1]."""
+    """Drift of the time tags: their delay against the samples grows at this rate [1]."""
     jitter: float = figure("us", 0, 1e5, default=0.0)
     """Largest random delay of a time tag, uniform from 0 [s]."""
 
@@ -199,7 +199,8 @@ class VibrationSpec:
     engine_gyro: float = figure("deg_s", default=0.0)
     """Vibration of the gyros by the engine at its reference speed, rms; grows as its square [rad/s]."""
     engine_accel: float = figure("mg", default=0.0)
-    """Vibration of the accelerometers by the engine, likewise [m/s^2]."""
+    """Vibration of the accelerometers by the engine at its reference speed, rms; grows as its square
+    [m/s^2]."""
     engine_reference: float = figure("rpm", default=0.0)
     """Reference speed of the engine [rad/s]."""
     engine_order: float = figure(default=1.0)
@@ -221,23 +222,23 @@ class VibrationSpec:
     rotor_reference: float = figure("rpm", default=0.0)
     """Reference speed of the rotors; the vibration grows with the square of the speed [rad/s]."""
     rotor_forward: float = figure("m", 0, 100, default=0.0)
-    """Distance of the rotors ahead of and behind the center of gravity [m]; 0: as the aircraft has it."""
+    """Distance of the rotors ahead of and behind the center of gravity [m]; 0: from the aircraft."""
     rotor_right: float = figure("m", 0, 100, default=0.0)
-    """Distance of the rotors to the right and left of it [m]; 0: as the aircraft has it."""
+    """Distance of the rotors to the right and left of the center of gravity [m]; 0: from the aircraft."""
     rotor_up: float = figure("m", -100, 100, default=0.0)
     """Height of the rotors above the center of gravity [m]."""
     gyration_x: float = figure("m", 0, 100, default=0.0)
-    """Radius of gyration about x, the root of inertia over mass [m]; 0: as the aircraft has it."""
+    """Radius of gyration about x, the square root of inertia over mass [m]; 0: from the aircraft."""
     gyration_y: float = figure("m", 0, 100, default=0.0)
-    """Radius of gyration about y [m]; 0: as the aircraft has it."""
+    """Radius of gyration about y [m]; 0: from the aircraft."""
     gyration_z: float = figure("m", 0, 100, default=0.0)
-    """Radius of gyration about z [m]; 0: as the aircraft has it."""
+    """Radius of gyration about z [m]; 0: from the aircraft."""
     imu_forward: float = figure("m", -100, 100, default=0.0)
-    """Position of the IMU ahead of the center of gravity, where rotors shake it [m]."""
+    """Position of the IMU ahead of the center of gravity, for the vibration by rotors [m]."""
     imu_right: float = figure("m", -100, 100, default=0.0)
-    """Position of the IMU to the right of it [m]."""
+    """Position of the IMU to the right of the center of gravity, for this vibration [m]."""
     imu_down: float = figure("m", -100, 100, default=0.0)
-    """Position of the IMU below it [m]."""
+    """Position of the IMU below the center of gravity, for this vibration [m]."""
     inner_rate: float = figure("hz", 0, 64000, default=0.0)
     """Rate at which the IMU samples vibration and sums it up [Hz]; 0: the output rate."""
 

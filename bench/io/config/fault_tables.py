@@ -159,12 +159,12 @@ FAULTS: tuple[type[_FaultTable], ...] = (
     ),
     _make_table(
         "mag-step",
-        "A magnet or current aboard adds a field that turns with the body.",
+        "A magnet or current on board adds a field that is constant in body axes.",
         step_ut=_three(Microtesla),
     ),
     _make_table(
         "magnet-passed",
-        "A magnet outside is passed at its closest in the middle of the fault: its field rises and falls.",
+        "The aircraft passes a magnet on the ground: its field is largest in the middle of the fault.",
         peak_ut=_three(Microtesla),
     ),
     _make_table(

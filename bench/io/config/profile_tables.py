@@ -268,7 +268,7 @@ class RequirementTable(Table):
     id: str | None = None
     """Number of the requirement in your own documents, for the report and --junit."""
     text: str | None = None
-    """Text of the requirement there."""
+    """Text of the requirement in your own documents."""
 
 
 class AntennaTable(Table):

@@ -35,9 +35,9 @@ class ProductTable(Table):
     power_mw: Annotated[float, between(1e-3, 1e6)] | None = None
     """Typical power."""
     price_usd: Annotated[float, between(0.01, 1e7)] | None = None
-    """Price of one, printed by the maker."""
+    """Price of one sensor, as the maker prints it."""
     price_date: date | None = None
-    """Day of this price."""
+    """Date of this price."""
 
     @property
     def volume(self) -> float | None:

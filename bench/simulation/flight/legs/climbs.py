@@ -68,7 +68,9 @@ class Descend(_AltitudeChange):
 
     kind = "descend"
     sign = -1
-    rate: Annotated[float, Key("rate_mps", "down, as far as the aircraft goes", *CLIMBS, most="max_descent")]
+    rate: Annotated[
+        float, Key("rate_mps", "descent rate, limited by the aircraft", *CLIMBS, most="max_descent")
+    ]
 
 
 def climb_ramp(rate: float) -> float:

@@ -33,7 +33,7 @@ class GoAround(Approach):
     decision: Annotated[float, Key("decision_m", "decision height above the runway", 5, 1000)] = field(
         kw_only=True
     )
-    to_height: Annotated[float, Key("to_height_m", "above the runway", 20, 5000)] = field(kw_only=True)
+    to_height: Annotated[float, Key("to_height_m", "height above the runway", 20, 5000)] = field(kw_only=True)
     rate: ClimbRate = field(kw_only=True)
     speed: Speed = field(kw_only=True)
 

@@ -161,11 +161,13 @@ def _check_begin(leg: Leg, start: LegStart) -> list[str]:
     return [f"is flown in the air; a {'winch' if start.aircraft.glides else 'take-off'} must come before it"]
 
 
-Seconds = Annotated[float, Key("duration_s", "how long", *SECONDS)]
+Seconds = Annotated[float, Key("duration_s", "duration of the leg", *SECONDS)]
 Bank = Annotated[
     float, Key("bank_deg", "bank angle in turns, limited by the aircraft", *BANKS, most="max_bank")
 ]
-ClimbRate = Annotated[float, Key("rate_mps", "up, as far as the aircraft goes", *CLIMBS, most="max_climb")]
+ClimbRate = Annotated[
+    float, Key("rate_mps", "climb rate, limited by the aircraft", *CLIMBS, most="max_climb")
+]
 Speed = Annotated[float, Key("speed_mps", "true airspeed", *SPEEDS, least="min_speed", most="max_speed")]
 
 

@@ -46,8 +46,10 @@ class Approach(Leg):
 
     kind = "approach"
     leaves = "approach"
-    glide: Annotated[float, Key("glide_deg", "angle of the path", 1, 10)] = math.radians(3.0)
-    aim: Annotated[float, Key("aim_m", "the path meets the ground beyond the threshold", 0, 1000)] = 60.0
+    glide: Annotated[float, Key("glide_deg", "angle of the glide path", 1, 10)] = math.radians(3.0)
+    aim: Annotated[
+        float, Key("aim_m", "distance beyond the threshold at which the path meets the ground", 0, 1000)
+    ] = 60.0
     bank: Bank | None = None
 
     def describe(self) -> str:

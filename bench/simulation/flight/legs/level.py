@@ -36,7 +36,7 @@ class Cruise(AtSpeed):
 
     kind = "cruise"
     flown_by = WINGS
-    distance: Annotated[float, Key("distance_m", "over ground", 10, 1e7)]
+    distance: Annotated[float, Key("distance_m", "distance over ground", 10, 1e7)]
 
     def describe(self) -> str:
         return f"{self.distance:g} m"

@@ -13,9 +13,9 @@ from bench.simulation.flight.legs.keys import Key, Seconds, format_deg, side_of,
 from bench.simulation.flight.rotor_cockpit import RotorCockpit
 
 GroundSpeed = Annotated[
-    float, Key("speed_mps", "over ground, where the way is long enough", 0.1, 100, most="max_speed")
+    float, Key("speed_mps", "ground speed, if the distance suffices to reach it", 0.1, 100, most="max_speed")
 ]
-Acceleration = Annotated[float, Key("accel_mps2", "largest change of the speed", 0.1, 10)]
+Acceleration = Annotated[float, Key("accel_mps2", "largest acceleration along the path", 0.1, 10)]
 _TURN = math.radians(60.0)  # rate at which the nose turns into a course [rad/s]
 _NEAR_GROUND = 1.0  # height above it at which the sink before the touch-down begins [m]
 
@@ -37,12 +37,12 @@ class Hover(Leg):
 
 @dataclass(frozen=True)
 class Goto(Leg):
-    """A multirotor flies straight to a place by its distances from the start, and stops there."""
+    """A multirotor flies straight to a point north and east of the start, and stops there."""
 
     kind = "goto"
     flown_by = ROTORCRAFT
-    north: Annotated[float, Key("north_m", "of the start", -1e4, 1e4)]
-    east: Annotated[float, Key("east_m", "of the start", -1e4, 1e4)]
+    north: Annotated[float, Key("north_m", "distance north of the start", -1e4, 1e4)]
+    east: Annotated[float, Key("east_m", "distance east of the start", -1e4, 1e4)]
     speed: GroundSpeed
     alt: (
         Annotated[float, Key("alt_m", "ellipsoidal altitude; without it the present one", *ALTITUDES)] | None
@@ -75,11 +75,11 @@ class Sprint(Leg):
 
     kind = "sprint"
     flown_by = ROTORCRAFT
-    distance: Annotated[float, Key("distance_m", "over ground", 1, 1e4)]
+    distance: Annotated[float, Key("distance_m", "distance over ground", 1, 1e4)]
     speed: GroundSpeed
     accel: Acceleration = 5.0
     off_nose: Annotated[
-        float, Key("off_nose_deg", "course from the heading, positive to the right", -180, 180)
+        float, Key("off_nose_deg", "course minus heading, positive to the right", -180, 180)
     ] = 0.0
 
     def describe(self) -> str:
@@ -95,18 +95,18 @@ class Sprint(Leg):
 
 @dataclass(frozen=True)
 class Orbit(Leg):
-    """A multirotor circles the place ahead at a distance, and stops after some laps."""
+    """A multirotor circles a point ahead of it, and stops after some laps."""
 
     kind = "orbit"
     flown_by = ROTORCRAFT
-    radius: Annotated[float, Key("radius_m", "distance of the center, ahead", 1, 1000)]
+    radius: Annotated[float, Key("radius_m", "radius; the center is ahead at this distance", 1, 1000)]
     speed: GroundSpeed
     laps: Annotated[float, Key("laps", "number of laps", 0.05, 1000)] = 1.0
-    side: Annotated[Literal["left", "right"], Key("side", "to which it sets off, with the center ahead")] = (
-        "left"
-    )
+    side: Annotated[
+        Literal["left", "right"], Key("side", "side to which it moves first, with the center ahead")
+    ] = "left"
     nose: Annotated[
-        Literal["center", "keep"], Key("nose", "to the center all along, or keep the heading")
+        Literal["center", "keep"], Key("nose", "point the nose to the center, or keep the heading")
     ] = "center"
     accel: Acceleration = 2.0
 
@@ -134,8 +134,8 @@ class Yaw(Leg):
 
     kind = "yaw"
     flown_by = ROTORCRAFT
-    by: Annotated[float, Key("by_deg", "positive to the right", -36000, 36000)]
-    rate: Annotated[float, Key("rate_deg_s", "largest rate", 0.1, 180)] = math.radians(30.0)
+    by: Annotated[float, Key("by_deg", "change of heading, positive to the right", -36000, 36000)]
+    rate: Annotated[float, Key("rate_deg_s", "largest yaw rate", 0.1, 180)] = math.radians(30.0)
 
     def describe(self) -> str:
         return f"{format_deg(abs(self.by))} {side_of(self.by)}"
@@ -152,9 +152,9 @@ class Land(Leg):
     flown_by = ROTORCRAFT
     leaves = "ground"
     rate: Annotated[
-        float, Key("rate_mps", "down to a meter above the ground", 0.1, 100, most="max_descent")
+        float, Key("rate_mps", "descent rate until 1 m above the ground", 0.1, 100, most="max_descent")
     ] = 1.5
-    sink: Annotated[float, Key("sink_mps", "at the touch-down", 0.05, 1)] = 0.3
+    sink: Annotated[float, Key("sink_mps", "sink rate at the touch-down", 0.05, 1)] = 0.3
 
     def describe(self) -> str:
         return f"at {self.rate:g} m/s, touching at {self.sink:g} m/s"

@@ -62,7 +62,9 @@ class TakeOff(Leg):
     kind = "take-off"
     flown_by: ClassVar[tuple[str, ...]] = (FIXED_WING, *ROTORCRAFT)
     needs = "ground"
-    to_height: Annotated[float, Key("to_height_m", "above the runway; a multirotor from 1 m on", 1, 5000)]
+    to_height: Annotated[
+        float, Key("to_height_m", "height above the runway; 1 m or more for a multirotor", 1, 5000)
+    ]
     rate: ClimbRate
     speed: Speed | None = None
 
@@ -154,7 +156,7 @@ class TouchAndGo(TakeOff):
     kind = "touch-and-go"
     flown_by = (FIXED_WING,)
     needs = "flare"
-    roll: Annotated[float, Key("roll_s", "without power", 1, 30)] = 3.0
+    roll: Annotated[float, Key("roll_s", "time on the runway without power", 1, 30)] = 3.0
 
     def _roll_and_climb(self, cockpit: Cockpit) -> Steps:
         """Nose down and throttle back, roll along the centerline, then as a take-off."""

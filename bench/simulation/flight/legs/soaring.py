@@ -21,8 +21,8 @@ class CircleThermal(AtSpeed):
 
     kind = "thermal"
     flown_by = (GLIDER,)
-    number: Annotated[int, Key("number", "of the thermal; 1 is the nearest to the start", 1, 10000)]
-    to_alt: Annotated[float, Key("to_alt_m", "ellipsoidal altitude at which it leaves", *ALTITUDES)]
+    number: Annotated[int, Key("number", "number of the thermal; 1 is the nearest to the start", 1, 10000)]
+    to_alt: Annotated[float, Key("to_alt_m", "ellipsoidal altitude at which the glider leaves", *ALTITUDES)]
     duration: Annotated[float, Key("duration_s", "longest time in the circle", *SECONDS)]
     bank: Bank
     side: Annotated[Literal["right", "left"], Key("side", "side of the circle")] = "right"

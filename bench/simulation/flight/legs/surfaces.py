@@ -33,7 +33,7 @@ _LEVEL = math.radians(5.0)  # wings are level within [rad]
 _NEAR_ALT = 3.0  # an altitude is held again within [m] ...
 _NEAR_CLIMB = 1.0  # ... and this vertical speed [m/s]
 
-_Pause = Annotated[float, Key("pause_s", "guidance flies between and after them", *SECONDS)]
+_Pause = Annotated[float, Key("pause_s", "time of guided flight between and after the maneuvers", *SECONDS)]
 _NO_DEFLECTION = "a deflection of 0 does nothing"
 
 
@@ -42,7 +42,7 @@ class Doublet(Leg):
     """Deflect a surface to one side, then to the other, without guidance of this surface."""
 
     kind = "doublet"
-    surface: Annotated[Literal["aileron", "elevator", "rudder"], Key("surface", "which one")]
+    surface: Annotated[Literal["aileron", "elevator", "rudder"], Key("surface", "control surface")]
     amplitude: Annotated[
         float, Key("amplitude", "share of its travel, positive rolls right, pitches down, yaws left", -1, 1)
     ]
@@ -80,7 +80,7 @@ class AileronRoll(AtSpeed):
     any_bank = True
     aileron: Annotated[float, Key("aileron", "share of its travel, positive to the right", -1, 1)]
     count: Annotated[int, Key("count", "number of rolls, one after the other", 1, 1000)] = 1
-    pitch: Annotated[float, Key("pitch_deg", "before the roll", 0, 30)] = math.radians(15.0)
+    pitch: Annotated[float, Key("pitch_deg", "pitch before the roll", 0, 30)] = math.radians(15.0)
     pause: _Pause = 8.0
 
     def describe(self) -> str:
@@ -131,8 +131,8 @@ class WindUpTurn(AtSpeed):
     """Tighten a turn by elevator to a load factor, hold it, roll out."""
 
     kind = "wind-up-turn"
-    bank: Annotated[float, Key("bank_deg", "20 or more, positive to the right", -85, 85)]
-    load: Annotated[float, Key("load_factor", "to reach", 1.2, 9)]
+    bank: Annotated[float, Key("bank_deg", "bank angle, 20 or more in size, positive to the right", -85, 85)]
+    load: Annotated[float, Key("load_factor", "load factor to reach", 1.2, 9)]
     rise: Annotated[float, Key("rise_s", "time to reach the load factor", 1, 60)] = 5.0
     hold: Annotated[float, Key("hold_s", "duration at the load factor", 0.1, 60)] = 2.0
 

@@ -32,7 +32,7 @@ _BACK_MOST = math.radians(20.0)  # ... and the most of it [rad]
 _STEP = 0.5  # between the points of a taxiway [m]
 _STEEREST = math.radians(150.0)  # most turn onto the runway [rad]
 
-_RollSpeed = Annotated[float, Key("speed_mps", "over ground, between the stops", 1, 15)]
+_RollSpeed = Annotated[float, Key("speed_mps", "ground speed between the stops", 1, 15)]
 _Stop = Annotated[float, Key("stop_s", "duration of each stop", *SECONDS)]
 _Radius = Annotated[float, Key("radius_m", "radius of the turns", 5, 200)]
 _Width = Annotated[float, Key("width_m", "width of the taxiway; a leg that leaves it fails", 3, 100)]
@@ -130,7 +130,9 @@ class TaxiRoute(_OnTaxiway):
     """Roll from point to point on a taxiway with rounded turns, and stop at the last."""
 
     kind = "taxi-route"
-    points: Annotated[tuple[Point, ...], Key("points", "rounded, but for the last")] = field(kw_only=True)
+    points: Annotated[
+        tuple[Point, ...], Key("points", "points of the route; the turns at all but the last are rounded")
+    ] = field(kw_only=True)
 
     def describe(self) -> str:
         return f"{format_count(len(self.points), 'point')} at {self.speed:g} m/s, stop of {self.stop:g} s"
@@ -146,7 +148,9 @@ class LineUp(_OnTaxiway):
     """Roll straight on to the runway, turn onto its centerline, and stop."""
 
     kind = "line-up"
-    distance: Annotated[float, Key("distance_m", "along the centerline after the turn", 0, 500)] = 20.0
+    distance: Annotated[float, Key("distance_m", "distance along the centerline after the turn", 0, 500)] = (
+        20.0
+    )
 
     def describe(self) -> str:
         return f"at {self.speed:g} m/s, stop of {self.stop:g} s"

@@ -64,7 +64,10 @@ class Point:
 class Waypoint(Point):
     """A point with an altitude."""
 
-    alt: Annotated[float, Key("alt_m", "ellipsoidal; else that before it", *ALTITUDES)] | None = None
+    alt: (
+        Annotated[float, Key("alt_m", "ellipsoidal altitude; without it the altitude before", *ALTITUDES)]
+        | None
+    ) = None
 
 
 @dataclass(frozen=True)

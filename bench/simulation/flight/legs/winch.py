@@ -49,11 +49,18 @@ class Winch(Leg):
     kind = "winch"
     flown_by = (GLIDER,)
     needs = "ground"
-    cable: Annotated[float, Key("cable_m", "length; in calm air it lifts to 0.4 of it", 400, 3000)] = 1000.0
+    cable: Annotated[
+        float, Key("cable_m", "length of the cable; in calm air the release is at 0.4 of it", 400, 3000)
+    ] = 1000.0
     to_height: (
         Annotated[
             float,
-            Key("to_height_m", "release at this height above the start; else at a steep cable", 50, 1500),
+            Key(
+                "to_height_m",
+                "release height above the start; without it, release at a steep cable",
+                50,
+                1500,
+            ),
         ]
         | None
     ) = None
