@@ -188,7 +188,10 @@ def test_the_setting_and_the_port_of_the_barometer_reach_it(tmp_path):
         ({"sensors.qnh_hpa": 300.0}, "[sensors] qnh_hpa = 300 hPa is outside 850 to 1100 hPa"),
         ({"date": "1999-01-01"}, "date = '1999-01-01' must be from 2010-01-01 to 2029-12-31"),
         ({"date": "someday"}, "date = 'someday' must be a date, as 2026-01-31"),
-        ({"date": "2026-01-01", "sensors.gnss": "sky-l1"}, "date = 2026-01-01 is not that of gnss = 'sky"),
+        (
+            {"date": "2026-01-01", "sensors.gnss": "sky-l1"},
+            "date = 2026-01-01 differs from the date of gnss = 'sky",
+        ),
         ({"sensors.mag": "odd.toml"}, "[sensors] mag = 'odd': rate_hz = 30 Hz must divide rate_hz = 200 Hz"),
     ],
 )

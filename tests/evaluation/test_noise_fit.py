@@ -201,7 +201,7 @@ def test_noise_beyond_the_bandwidth_is_left_out():
     fit = fit_triad("accel", rates, 0.01)
     assert 1.0 < fit.highest < 7.0
     assert_allclose(fit.estimates["random_walk"].value, 1.0, rtol=0.03)
-    assert "the noise above has another shape" in summarize_fit(fit)
+    assert "above, the noise does not fit the model" in summarize_fit(fit)
 
 
 def test_axes_that_differ_have_figures_of_their_own():

@@ -180,7 +180,7 @@ def test_a_start_that_the_filters_find_is_exported_from_there_on(run, tmp_path):
     assert 9.0 < initial.t < 12.0
     lost = int((sensed.data.imu.t <= initial.t).sum())
     assert (len(whole.imu) - len(out.imu), out.fixes.t.min() > initial.t) == (lost, True)
-    assert f"as the alignment 'course' finds it, is that of t = {initial.t:.6g} s; {lost} rows" in remark
+    assert f"as the alignment 'course' finds it, is at t = {initial.t:.6g} s; {lost} rows" in remark
     lla, vel_n, q_nb, sd = out.start_at_first_row()
     k = int(np.searchsorted(truth.t, out.imu.t[0] - 1e-6))
     assert_allclose(earth.difference_n(lla, truth.lla[k]) / sd[:3], 0.0, atol=5.0)
@@ -190,7 +190,7 @@ def test_a_start_that_the_filters_find_is_exported_from_there_on(run, tmp_path):
     (tmp_path / "out").mkdir()
     write(tmp_path / "out", "kf-gins", whole, "circle")
     assert configuration(tmp_path / "out" / "kf-gins.yaml")["starttime"] == out.imu.t[0] + SECOND
-    assert "is that of t = " in (tmp_path / "out" / "README.md").read_text()
+    assert "is at t = " in (tmp_path / "out" / "README.md").read_text()
     with pytest.raises(ExportError, match="alignment = 'course' finds none: "):
         replace(whole, fixes=None).align()
 

@@ -101,7 +101,7 @@ def test_rows_of_a_receiver_among_those_of_the_imu_take_no_time_from_it(tmp_path
     assert_allclose(found.imu.dt, whole.imu.dt)
     assert_array_equal(np.flatnonzero(~found.imu.valid), [7005])
     assert_allclose(found.fixes.lla, whole.fixes.lla)
-    assert ["750 rows among those of the IMU" in note for note in found.notes].count(True) == 1
+    assert ["750 rows in the table of the IMU" in note for note in found.notes].count(True) == 1
 
 
 MAKERS = {"imu": drives.imu_columns, "gnss": drives.gnss_columns}

@@ -20,7 +20,7 @@ from tests.exchange.exported import make_run
 
 DATA = Path(__file__).parents[1] / "data" / "strangers"
 TO_GPX = "it has fixes but no IMU; convert it to GPX to fly its track"
-ALONE = "No columns of a receiver: attitude alone."
+ALONE = "No columns of a GNSS receiver: only attitude is estimated."
 NO_FIXES = "no <trkpt> with a <time>: a route without times is not a motion"
 OWN_LOG = "name them in a log of your own: bench guide log-format"
 NO_START = "it needs fixes with velocities for a second, 10 s at rest, or 10 s above 5 m/s"

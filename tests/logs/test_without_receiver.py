@@ -135,7 +135,7 @@ def test_a_table_of_an_imu_alone_is_navigated(folder, tmp_path, capsys):
     (tmp_path / "imu.csv").write_text(text)  # names of the IMU that have words of a receiver
     assert main(["navigate", str(tmp_path / "imu.csv"), "-o", str(tmp_path / "out"), "--no-report"]) == 0
     said = capsys.readouterr().out
-    assert "No columns of a receiver: attitude alone." in said
+    assert "No columns of a GNSS receiver: only attitude is estimated." in said
     assert "ahrs" in said
     assert "place = [45.0, 0.0, 0.0]  # where was it?" in (tmp_path / "imu.toml").read_text()
     solution = load_solution(tmp_path / "out", "ahrs")

@@ -353,7 +353,8 @@ GOOD, SLOW = ("".join(f"{k * step:.1f},0.1,0.2,0.3\n" for k in range(40)) for st
         ("", "no columns for time: t_s; there are none"),
         ("a,b\n1,2\n", "no columns for time: t_s; there are a, b"),
         ("t_s,wx\n1,2\n", "no column 'gyro_x_rad_s' or 'accel_x_m_s2'"),
-        ("t_s,gyro_x_rad_s,gyro_y_rad_s\n1,2,3\n", "gyro_x, gyro_y without gyro_z"),
+        ("t_s,gyro_x_rad_s,gyro_y_rad_s,wz\n1,2,3,4\n", "gyro_x, gyro_y without gyro_z; other columns: wz"),
+        ("0.1,2\n1,2\n", "there are 0.1, 2; the first line must contain the names of the columns"),
         (HEAD.replace("\n", ",gyro_x_deg_s\n"), "are the same quantity"),
         (HEAD + GOOD + "4.0,0.1,oops,0.3\n", "row 41: gyro_y_rad_s = 'oops' is not a number"),
         (HEAD + GOOD + "4.0,0.1\n", "row 41: 2 columns, the header has 4"),
@@ -406,7 +407,7 @@ def test_noise_is_told_in_the_units_of_datasheets():
 @pytest.mark.parametrize(
     ("moved", "message"),
     [
-        ("gyro_y_rad_s", "gyro_y moves, its means of 1 s scatter by 0.2"),
+        ("gyro_y_rad_s", "gyro_y moves: its means over 1 s have a standard deviation of 0.2"),
         ("accel_x_m_s2", "accel_x moves"),
         (None, r"the mean specific force is 1 m/s\^2, at rest it is 9.8: if the values are in g"),
     ],

@@ -92,7 +92,7 @@ def print_log(console: Console, result: RunResult, *, table: bool, cuts: bool = 
     if "reference" in document:
         judge = f"evaluated by the reference, {document['reference']['file']}"
     elif "gnss" not in document:
-        judge = "no reference: nothing evaluates the errors but the innovations"
+        judge = "no fixes and no reference: only innovations are evaluated"
     console.print(f"{judge}; {result.evaluation}", soft_wrap=True)
     print_result(console, result, table=table)
     outages = result.more["outages"]

@@ -248,7 +248,7 @@ def solve(
 ) -> FloatArray:
     """Return a least-squares step for the constants; NaN if the flight does not determine them.
 
-    The weights are those of the noise model that fits the residuals best, or of ``white`` noise.
+    The weights follow from the noise model that fits the residuals best, or from ``white`` noise.
     """
     assert one.derivative is not None
     motion, error, cov = see(truths, one.undo(answers, move(truths, answers), constants))

@@ -245,8 +245,8 @@ class Whiteness:
 def measure_whiteness(normalized: Sequence[FloatArray], lags: int = LAGS) -> Whiteness:
     """Return the autocorrelation of normalized innovations, one series of updates in order for each run.
 
-    The p-value is that of the test of Box and Pierce with the variance of Ljung and Box (Biometrika 65,
-    1978), here of the sum over runs; no mean is removed, because that of a matched filter is zero.
+    The p-value is from the test of Box and Pierce with the variance of Ljung and Box (Biometrika 65, 1978),
+    applied to the sum over runs. No mean is removed, because innovations of a matched filter have zero mean.
 
     Raises
     ------
@@ -329,7 +329,7 @@ class Comparison:
     first: str
     second: str
     unit: str
-    difference: Estimate  # RMSE of the first minus that of the second
+    difference: Estimate  # RMSE of the first minus RMSE of the second
     runs: int
     size: float  # RMSE of the second
 

@@ -26,8 +26,8 @@ def measure_by_reference(
 ) -> tuple[ErrorSeries, dict[str, Any]]:
     """Return the errors of a solution against a reference, and the metrics of the reference quantities.
 
-    Estimate and reference are compared at the point of the reference. Claims are those of both: ``cov`` of
-    the estimate plus that of the reference.
+    Estimate and reference are compared at the point of the reference. The
+    covariance is the sum of ``cov`` of the estimate and ``cov`` of the reference.
     """
     errors, moved = compare(solution, reference, data)
     values: dict[str, Any] = {"converged": True, "reason": None, **describe_failure(solution)}

@@ -124,8 +124,8 @@ def _replay(
 ) -> Updates:
     """Return the updates of the accepted measurements, with the gains computed from P before each update.
 
-    The variance of the noise is what is left of that of the innovation, as logged; where P was opened for a
-    measurement that had been rejected, it is that of the one before.
+    The variance of the noise is the logged variance of the innovation minus H P H^T. At a re-admitted
+    measurement, for which P was inflated, it is the noise variance of the measurement before.
     """
     n = model.layout.size
     n_rows = len(table.t)

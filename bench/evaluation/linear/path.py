@@ -42,7 +42,8 @@ class LinearPath:
 def make_path(truth: Trajectory, imu: ImuSpec, stops: FloatArray, step: float = STEP) -> LinearPath:
     """Return the steps of a truth: none is longer than ``step`` [s], and one ends at each of ``stops`` [s].
 
-    Epochs are those of the truth nearest to these. ``imu`` gives ranges and temperature.
+    Each step ends at the epoch of the truth that is nearest to the time wanted. ``imu`` gives
+    ranges and temperature.
     """
     t = truth.t
     count = max(1, int(np.ceil((t[-1] - t[0]) / step - 1e-9)))

@@ -217,7 +217,7 @@ def _tell_reference(table: FindingTable) -> list[str]:
     for name in _SHOWN:
         before, after, _, straight = rows[name]
         texts.append(f"{name} from {before:.2g} to {after:.2g} deg ({straight:.2g} in straight flight)")
-    return [f"Heading needs turns: an S-turn of the reference flight takes that of {', '.join(texts)}."]
+    return [f"Heading needs turns: an S-turn of the reference flight reduces its sigma: {', '.join(texts)}."]
 
 
 def plot_observed(seen: Observed, turning: BoolArray) -> list[Plot]:

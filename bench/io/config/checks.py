@@ -140,7 +140,8 @@ def check_sensors(table: ExperimentTable, sensors: Mapping[str, Any], has_air: b
     sky = None if sensors["gnss"] is None else sensors["gnss"].sky
     if sky is not None and table.date not in (None, sky.day):
         wrong.append(
-            f"date = {table.date} is not that of gnss = {table.sensors.gnss!r}, {sky.day}; leave it out"
+            f"date = {table.date} differs from the date of gnss = {table.sensors.gnss!r}, {sky.day}; "
+            "leave it out"
         )
     elif sky is not None and table.sensors.mag is not None and not FIRST_YEAR <= sky.day.year < LAST_YEAR:
         wrong.append(

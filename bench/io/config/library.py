@@ -218,7 +218,7 @@ def read_jsbsim_aircraft(name: str, root: str | None, beside: Path) -> AircraftS
         shipped = sorted({path.stem for place in places for path in place.glob("*.toml")})
         raise ConfigError(
             f"aircraft = {JSBSIM + name!r} has no gains: write aircraft/jsbsim/{name}.toml beside the "
-            f"profile, with limits, antenna and guidance as in those of {', '.join(shipped)}"
+            f"profile, with limits, antenna and guidance as in the files of {', '.join(shipped)}"
         )
     shown = f"jsbsim/{name}.toml"
     table = check_table(ForeignTable, read_toml(file, shown), shown)

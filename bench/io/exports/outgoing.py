@@ -161,7 +161,7 @@ class ExportData:
         found = "" if asked.alignment == "given" else f", as the alignment {asked.alignment!r} finds it,"
         lost = 0 if self.fixes is None or fixes is None else len(self.fixes) - len(fixes)
         left_out = f"{len(self.imu) - len(imu)} rows of the IMU and {lost} fixes before it are left out"
-        remark = f"The initial state{found} is that of t = {initial.t:.6g} s; {left_out}."
+        remark = f"The initial state{found} is at t = {initial.t:.6g} s; {left_out}."
         start = {**self.start, "initial": write_initial_state(initial)}
         return replace(self, imu=imu, fixes=fixes, start=start), remark
 

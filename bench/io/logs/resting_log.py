@@ -102,8 +102,9 @@ def _find_rests(triads: Mapping[str, FloatArray], step: float, shown: str) -> tu
             poses = count_poses([triads["accel"][one].mean(axis=0) for one in rests if "accel" in triads])
             if poses < FEWEST_POSES:
                 raise ConfigError(
-                    f"{shown}: {name}_{'xyz'[axis]} moves, its means of 1 s scatter by {sd:.2g} {unit}, and "
-                    f"it rests in {poses} poses: record it at rest, or in {FEWEST_POSES} poses, 5 s in each"
+                    f"{shown}: {name}_{'xyz'[axis]} moves: its means over 1 s have a standard deviation of "
+                    f"{sd:.2g} {unit}, expected {most:g} or less; record the IMU at rest, or for 5 s in each of "
+                    f"{FEWEST_POSES} poses (found: {poses})"
                 )
             break
     if "accel" in triads:

@@ -37,7 +37,7 @@ def drop_others(rows: LogRows, shown: str) -> LogRows:
     full[empty] = ~usual[np.searchsorted(kept, empty)]
     if full.all():
         return rows
-    note = f"{shown}: {np.count_nonzero(~full)} rows among those of the IMU hold none of its values"
+    note = f"{shown}: {np.count_nonzero(~full)} rows in the table of the IMU have none of its values"
     return _take(rows, np.flatnonzero(full), f"{note} and are left out")
 
 

@@ -101,7 +101,9 @@ class TableColumns:
             most = max(range(len(there)), key=lambda k: len(there[k]))
             missing = [stem for stem in kinds[kind][most] if stem not in unused]
             if there[most]:
-                raise ConfigError(f"{shown}: {', '.join(there[most])} without {', '.join(missing)}")
+                others = [name for name in self.unused if split_unit(name)[0] not in there[most]]
+                more = f"; other columns: {', '.join(others[:30])[:300]}" if others else ""
+                raise ConfigError(f"{shown}: {', '.join(there[most])} without {', '.join(missing)}{more}")
 
 
 def read_table(
@@ -428,6 +430,8 @@ def _choose(
             if kind in optional:
                 continue
             there = ", ".join(names[:30])[:300] or "none"
+            if names and all(map(is_number, names)):
+                there += "; the first line must contain the names of the columns"
             raise ConfigError(f"{shown}: no columns for {kind}: {list_names(groups)}; there are {there}")
         for stem, dimension in found.items():
             if len(by_stem[stem]) > 1:

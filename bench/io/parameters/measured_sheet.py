@@ -47,7 +47,7 @@ def make_measured_spec(name: str, fits: Sequence[NoiseFit], poses: Sequence[Pose
 def format_measured_sheet(name: str, measured: AllanResult) -> str:
     """Return the text of the datasheet of an IMU that was measured at rest.
 
-    A figure with an interval that reaches 0 is not in the sheet; its source says what the figure is below.
+    A parameter with an interval that reaches 0 is not in the sheet; the source of the sheet has its upper limit.
     """
     fits, poses = measured.fits, measured.poses
     sources = {
@@ -128,7 +128,10 @@ def list_notes(fit: NoiseFit) -> Iterator[str]:
         if not fit.estimates[field].identified:
             yield f"{words} {describe_estimate(fit.triad, field, fit.estimates[field])}"
     if fit.slow and not any(fit.estimates[field].identified for field in SLOW):
-        yield "there is slow noise; the record does not separate its two kinds, the likeliest values stand"
+        yield (
+            "slow noise is present; the record is too short to separate bias instability and "
+            "rate random walk: the most likely values are given"
+        )
     for field, axes in fit.axes.items():
         texts = ", ".join(describe_estimate(fit.triad, field, one) for one in axes)
         yield f"{_WORDS[field]} by axis: {texts}"
@@ -141,4 +144,4 @@ def list_notes(fit: NoiseFit) -> Iterator[str]:
         slopes = ", ".join(f"{from_si(f'x_{key}_k', float(one)):.3g}" for one in fit.temperature)
         yield f"a bias of {slopes} {unit_of(f'x_{key}_k')} on x, y, z"
     if fit.highest < fit.nyquist:
-        yield f"fitted up to {fit.highest:.3g} Hz; the noise above has another shape"
+        yield f"fitted up to {fit.highest:.3g} Hz; above, the noise does not fit the model"

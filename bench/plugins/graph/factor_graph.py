@@ -133,7 +133,7 @@ class GraphSmoother:
         if gnss is None or not max(gnss.pos_h_markov_sd, gnss.pos_v_markov_sd, gnss.vel_markov_sd):
             return ""
         return (
-            f"it takes the errors of fixes for white, but those of {gnss.name!r} last for minutes; "
+            f"it assumes white errors of fixes, but the errors of {gnss.name!r} last for minutes; "
             "'smoother' has states for them"
         )
 

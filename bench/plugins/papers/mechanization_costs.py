@@ -232,8 +232,8 @@ def _compare_frames(options: Options, flight: TrueFlight) -> tuple[list[str], Fi
         if name == "nhe" and rate == "100/50/10"
     }
     told = [
-        f"At 100/50/10 Hz the frame north, up, east ends {chosen[False]:.2g} m off with rates and gravity of "
-        f"the start of their interval, as in the source, and {chosen[True]:.1g} m with those of its middle."
+        f"At 100/50/10 Hz the frame north, up, east ends {chosen[False]:.2g} m off with rates and gravity at "
+        f"the start of their interval, as in the source, and {chosen[True]:.1g} m with values at its middle."
     ]
     units = {"rates_hz": "Hz", "position_m": "m", "attitude_arcsec": "arcsec", "step_us": "us"}
     table = FindingTable("frames", "Frames and rates, rotation vector", columns, units)

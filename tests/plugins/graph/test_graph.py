@@ -275,7 +275,7 @@ def test_the_factor_graph_refuses_fixes_that_wander(sensed):
     wandering = replace(GNSS, pos_h_markov_sd=3.0)
     specs, one = replace(sensed.data.specs, gnss=wandering), load("graph-smoother", {})
     line = (
-        "it takes the errors of fixes for white, but those of 'weaving-gnss' last for minutes; 'smoother' has"
+        "it assumes white errors of fixes, but the errors of 'weaving-gnss' last for minutes; 'smoother' has"
     )
     with pytest.raises(EstimatorError, match=f"^filter 'graph-smoother': {line}"):
         check_needs(one, "graph-smoother", {"fixes"}, specs=specs)
