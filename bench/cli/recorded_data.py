@@ -136,7 +136,7 @@ def show(folder: Path | None) -> int:
     metavar="M_S2",
     help="gravity where a log with several poses was recorded  [default: 9.80665]",
 )
-@force_option("picture and the datasheet")
+@force_option("picture and datasheet")
 def allan(unit: str | None, log: Path | None, **options: Any) -> int:
     """Measure the Allan deviation of an IMU.
 
@@ -169,10 +169,10 @@ def allan(unit: str | None, log: Path | None, **options: Any) -> int:
 @commands.command()
 @click.argument("unit", metavar="UNIT", shell_complete=completion.imu)
 @click.option("--to", metavar="NAME", help="program to write parameters for")
-@click.option("--from", "source", metavar="NAME", help="program that UNIT is a file of; writes a datasheet")
+@click.option("--from", "source", metavar="NAME", help="program whose file UNIT is; writes a datasheet")
 @click.option("--rate", type=float, metavar="HZ", help="rate of the samples, if the parameters depend on it")
 @click.option(
-    "--bias-as-walk", is_flag=True, help="add to K the walk that B is at short times, and leave out B"
+    "--bias-as-walk", is_flag=True, help="add the short-term walk of the bias instability B to K; leave out B"
 )
 @out_option("write the parameters into a file", "FILE")
 @force_option("file")
@@ -307,7 +307,7 @@ def _parse_origin(text: str) -> tuple[float, ...]:
 @click.argument("folder", type=FILE, metavar="RUN")
 @click.option("--udp", metavar="IP:PORT", help="send each message as a datagram to this address")
 @click.option(
-    "--tcp", metavar="IP:PORT", help="wait for one connection at this address; port 0 takes a free one"
+    "--tcp", metavar="IP:PORT", help="wait for one connection at this address; port 0: any free port"
 )
 @click.option(
     "--rate",

@@ -314,7 +314,10 @@ def test_python_converts_as_the_verb_does():
         ("accelerometer_noise_density: !!python/name:os.path 2", "is not a number or a list"),
         ("accelerometer_noise_density: - 3", "is not a number"),
         ("accelerometer_noise_density: $ACC_2", "is not a number"),
-        ("accelerometer_noise_density: 1e-3\naccelerometer_noise_density: 2e-3", "stands 2 times; leave one"),
+        (
+            "accelerometer_noise_density: 1e-3\naccelerometer_noise_density: 2e-3",
+            "is in it 2 times, expected once; keep one IMU",
+        ),
         ("accelerometer_noise_density: [1e-3, 2e-3]", "has 2 numbers; expected 1"),
     ],
 )

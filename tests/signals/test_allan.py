@@ -354,7 +354,7 @@ GOOD, SLOW = ("".join(f"{k * step:.1f},0.1,0.2,0.3\n" for k in range(40)) for st
         ("a,b\n1,2\n", "no columns for time: t_s; there are a, b"),
         ("t_s,wx\n1,2\n", "no column 'gyro_x_rad_s' or 'accel_x_m_s2'"),
         ("t_s,gyro_x_rad_s,gyro_y_rad_s,wz\n1,2,3,4\n", "gyro_x, gyro_y without gyro_z; other columns: wz"),
-        ("0.1,2\n1,2\n", "there are 0.1, 2; the first line must contain the names of the columns"),
+        ("0.1,2\n1,2\n", "there are 0.1, 2; name the columns in line 1"),
         (HEAD.replace("\n", ",gyro_x_deg_s\n"), "are the same quantity"),
         (HEAD + GOOD + "4.0,0.1,oops,0.3\n", "row 41: gyro_y_rad_s = 'oops' is not a number"),
         (HEAD + GOOD + "4.0,0.1\n", "row 41: 2 columns, the header has 4"),

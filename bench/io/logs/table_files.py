@@ -24,11 +24,11 @@ from bench.core.words.exceptions import ConfigError
 from bench.io.logs.file_kinds import describe_unreadable
 from bench.io.logs.mat_files.mat_file import Value, find_structure, get_vector, read_mat
 
-MOST_BYTES = 2_000_000_000
-"""Largest file that is read [byte]."""
+MOST_BYTES = 2_000_000_000  # largest file that is read
 _MOST_HEADER = 1_000_000  # longest line, the header included [byte]
 _BRACKETS = re.compile(r"\([^()]*\)|\[[^\[\]]*\]")
 _BLOCK = 1 << 20  # read at a time [byte]
+_NAMELESS = "; name the columns in line 1"
 _ABOVE = re.compile(r"\s*(#|%|//|sep=|[^,;\t]+:[,;\t])")  # lines above the header: comments, key: value
 
 UNITS = {
@@ -97,13 +97,12 @@ class TableColumns:
         """Raise ConfigError if only some columns of a kind are present."""
         unused = {split_unit(name)[0] for name in self.unused}
         for kind in kinds.keys() - self.columns.keys():
-            there = [[stem for stem in one if stem in unused] for one in kinds[kind]]
-            most = max(range(len(there)), key=lambda k: len(there[k]))
-            missing = [stem for stem in kinds[kind][most] if stem not in unused]
-            if there[most]:
-                others = [name for name in self.unused if split_unit(name)[0] not in there[most]]
-                more = f"; other columns: {', '.join(others[:30])[:300]}" if others else ""
-                raise ConfigError(f"{shown}: {', '.join(there[most])} without {', '.join(missing)}{more}")
+            best = max(kinds[kind], key=lambda one: len(unused.intersection(one)))
+            there, missing = ([stem for stem in best if (stem in unused) is has] for has in (True, False))
+            if there:
+                others = [name for name in self.unused if split_unit(name)[0] not in there]
+                text = f"without {', '.join(missing)}; other columns: {', '.join(others)[:300] or 'none'}"
+                raise ConfigError(f"{shown}: {', '.join(there)} {text}")
 
 
 def read_table(
@@ -429,9 +428,7 @@ def _choose(
         if found is None:
             if kind in optional:
                 continue
-            there = ", ".join(names[:30])[:300] or "none"
-            if names and all(map(is_number, names)):
-                there += "; the first line must contain the names of the columns"
+            there = f"{', '.join(names[:30])[:300] or 'none'}{_NAMELESS * all(map(is_number, names))}"
             raise ConfigError(f"{shown}: no columns for {kind}: {list_names(groups)}; there are {there}")
         for stem, dimension in found.items():
             if len(by_stem[stem]) > 1:
@@ -450,5 +447,4 @@ def _choose(
 
 def _add_unit(stem: str, unit: str) -> str:
     ending = unit.replace("1/min", "rpm").replace("m/s^2", "m_s2").replace("m/s", "mps")
-    ending = ending.replace("/", "_").replace("-", "").lower()
-    return f"{stem}_{ending}".rstrip("_")
+    return f"{stem}_{ending.replace('/', '_').replace('-', '').lower()}".rstrip("_")

@@ -152,7 +152,7 @@ def _list_lost(spec: ImuSpec, program: Program) -> Iterator[str]:
         if triad.bias_instability and "instability_sd" in used and triad.bias_model == "flicker":
             yield f"{name} bias instability: flicker becomes a Gauss-Markov process with the same Allan peak"
         if program.layout == "one" and any(one.name in used for one in triad.axes):
-            yield f"{name} axes differ: the root mean square of x, y and z stands for all"
+            yield f"{name} axes differ: the root mean square of x, y and z is written"
     times = [one.triad for one in program.parameters if one.figure == "bias_correlation"]
     if times == ["gyro"] and spec.accel.bias_correlation != spec.gyro.bias_correlation:
         yield f"accel correlation time {spec.accel.bias_correlation:g} s: the time of the gyros is used"
@@ -225,7 +225,9 @@ def _find_values(text: str, one: Parameter, program: Program, shown: str) -> Flo
     if not found:
         return None
     if len(found) > 1:
-        raise ConfigError(f"{shown}: {one.key} stands {len(found)} times; leave one IMU in the file")
+        raise ConfigError(
+            f"{shown}: {one.key} is in it {len(found)} times, expected once; keep one IMU in the file"
+        )
     body = re.split(r";|\.reshape", found[0])[0].strip()
     parts = re.sub(r"np\.(array|diag)|[][(){},]", " ", body).split()
     if not all(_NUMBER.fullmatch(part) for part in parts):

@@ -212,7 +212,7 @@ PROGRAMS: Mapping[str, Program] = {
         "{key} = {values};",
         "three",
         comment="%",
-        note="noise_rrw.m walks by arrw * dt a sample, so that arrw is K times the root of the sample rate.",
+        note="noise_rrw.m steps by arrw * dt a sample, so arrw is K times the square root of the rate.",
     ),
     "gnss-ins-sim": Program(
         "gnss-ins-sim, the dictionary of an IMU model",
@@ -230,7 +230,7 @@ PROGRAMS: Mapping[str, Program] = {
         "three",
         head=("import numpy as np", "", "imu_err = {{", "    'gyro_b': np.zeros(3), 'accel_b': np.zeros(3),"),
         tail=("}",),
-        note="b_stability is the sd; older versions, which step by b_stability * dt, read it otherwise.",
+        note="b_stability is the sd; older versions use it otherwise: steps of b_stability * dt.",
     ),
 }
 """Name of a program -> its parameters."""

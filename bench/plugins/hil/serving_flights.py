@@ -34,8 +34,8 @@ PUBLIC = "bench.plugins.hil.serving"
 
 @click.command()
 @click.argument("profile", shell_complete=completion.profile)
-@click.option("--port", type=click.IntRange(0, 65535), help="port; 0 takes a free one  [default: 5700]")
-@click.option("--bind", default="127.0.0.1", metavar="IP", help="address to wait at")
+@click.option("--port", type=click.IntRange(0, 65535), help="port; 0: any free port  [default: 5700]")
+@click.option("--bind", default="127.0.0.1", metavar="IP", help="address to listen at")
 @click.option("--allow-remote", "remote", is_flag=True, help="permit clients of other machines")
 @click.option(
     "--give",
