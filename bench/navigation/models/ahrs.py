@@ -93,7 +93,7 @@ class Ahrs:
         """Return the errors of these sensors that the filter has no state for, in words."""
         magnetic = self.options.magnetometer and specs.mag is not None
         found = unmodeled(specs, [MAGNETOMETER] if magnetic else [], _MODELED)
-        return ("sustained acceleration below what the length of the specific force shows", *found)
+        return ("sustained acceleration too small to show in the magnitude of the specific force", *found)
 
 
 class AhrsFlight(SteppedFilter):

@@ -83,8 +83,8 @@ def align_at_rest(sensors: SensorData, initial: InitialState) -> tuple[InitialSt
         phi_cov[2], phi_cov[:, 2], bias_cov[8] = 0.0, 0.0, 0.0
         phi_cov[2, 2] = UNKNOWN_HEADING_SD**2
         text += (
-            f"heading is unknown: gyros of {np.rad2deg(turn_sd) * 3600:.2g} deg/h cannot gyrocompass by "
-            f"{np.rad2deg(e_rate) * 3600:.2g} deg/h of Earth rate; motion finds it"
+            f"heading is unknown: gyros of {np.rad2deg(turn_sd) * 3600:.2g} deg/h cannot gyrocompass with "
+            f"{np.rad2deg(e_rate) * 3600:.2g} deg/h of Earth rate; motion makes it observable"
         )
     cov = np.zeros((9, 9))
     cov[:3, :3] = initial.cov[:3, :3]
@@ -142,8 +142,8 @@ def _rest(
     change, force = [np.abs(mean - mean[0]).max(axis=1) for mean in means], np.linalg.norm(means[0], axis=1)
     moves = {
         "the specific force changes": change[0] > limits[0],
-        "it turns": change[1] > limits[1],
-        f"it does not feel gravity alone but {force[0]:.3g} m/s^2": np.abs(force - g) > REST_FORCE + whole,
+        "it turns, or the unit of its gyros is wrong": change[1] > limits[1],
+        f"the specific force is {force[0]:.3g} m/s^2, not gravity": np.abs(force - g) > REST_FORCE + whole,
     }
     for text, rows_moving in moves.items():
         if rows_moving.any() and rows_moving.argmax() < len(ends):

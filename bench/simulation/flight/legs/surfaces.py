@@ -44,7 +44,8 @@ class Doublet(Leg):
     kind = "doublet"
     surface: Annotated[Literal["aileron", "elevator", "rudder"], Key("surface", "control surface")]
     amplitude: Annotated[
-        float, Key("amplitude", "share of its travel, positive rolls right, pitches down, yaws left", -1, 1)
+        float,
+        Key("amplitude", "fraction of its travel, positive rolls right, pitches down, yaws left", -1, 1),
     ]
     width: Annotated[float, Key("width_s", "duration of each half", 0.2, 10)]
     count: Annotated[int, Key("count", "number of doublets", 1, 1000)] = 1
@@ -78,7 +79,7 @@ class AileronRoll(AtSpeed):
 
     kind = "aileron-roll"
     any_bank = True
-    aileron: Annotated[float, Key("aileron", "share of its travel, positive to the right", -1, 1)]
+    aileron: Annotated[float, Key("aileron", "fraction of its travel, positive to the right", -1, 1)]
     count: Annotated[int, Key("count", "number of rolls, one after the other", 1, 1000)] = 1
     pitch: Annotated[float, Key("pitch_deg", "pitch before the roll", 0, 30)] = math.radians(15.0)
     pause: _Pause = 8.0
