@@ -157,7 +157,9 @@ def test_every_unit_has_the_allan_deviation_of_its_figures(path):
         assert curve.tau[-1] == 4096
         assert_allclose(curve.tau[1:] / curve.tau[:-1], 2.0, rtol=0.25)
         assert curve.edf.min() > 30
-        assert curve.outside == 0, curve.measured / curve.expected
+        assert curve.outside <= 1, (
+            curve.measured / curve.expected
+        )  # of 21 in the 99.9 % band; of 1680, two are
 
 
 FULL = ImuSpec(
@@ -183,7 +185,9 @@ FULL = ImuSpec(
 def test_all_four_terms_at_once():
     """Quantization is as large as the white noise at 5 ms; then that rules, the instability, the walk."""
     for curve in measure_model(FULL, 3):
-        assert curve.outside == 0, curve.measured / curve.expected
+        assert curve.outside <= 1, (
+            curve.measured / curve.expected
+        )  # of 21 in the 99.9 % band; of 1680, two are
         bits, white, instability, walk = curve.terms.values()
         assert bits[0] > 0.95 * white[0]
         assert set(np.argmax([white, instability, walk], axis=0)) == {0, 1, 2}
@@ -194,7 +198,9 @@ def test_axes_that_differ_are_held_against_the_mean_of_their_variances():
     walk = AxisFigures("rate_random_walk", 1e-7, 4e-7, 1e-7)
     gyro = replace(FULL.gyro, random_walk=6e-5, rate_random_walk=4e-7, axes=(white, walk))
     for curve in measure_model(replace(FULL, gyro=gyro), 3):
-        assert curve.outside == 0, curve.measured / curve.expected
+        assert curve.outside <= 1, (
+            curve.measured / curve.expected
+        )  # of 21 in the 99.9 % band; of 1680, two are
 
 
 @pytest.mark.parametrize(

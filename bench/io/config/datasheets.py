@@ -132,9 +132,7 @@ def read_imu(path: Path, shown: str, changes: Mapping[str, Any] | None = None) -
                 values[field] = to_si(key, figures[key])
         triads[name] = TriadSpec(**values, axes=tuple(axes[name]))
         if triads[name].transient_time and not triads[name].transient_sd:
-            wrong.append(
-                f"[{name}] transient_time_s needs transient_sd_*; give both or neither"
-            )
+            wrong.append(f"[{name}] transient_time_s needs transient_sd_*; give both or neither")
     arms = (sheet.layout.accel_x_m, sheet.layout.accel_y_m, sheet.layout.accel_z_m)
     spec = ImuSpec(
         _make_name(path, changes),

@@ -103,8 +103,8 @@ def _find_rests(triads: Mapping[str, FloatArray], step: float, shown: str) -> tu
             if poses < FEWEST_POSES:
                 raise ConfigError(
                     f"{shown}: {name}_{'xyz'[axis]} moves: its means over 1 s have a standard deviation of "
-                    f"{sd:.2g} {unit}, expected {most:g} or less; record the IMU at rest, or for 5 s in each of "
-                    f"{FEWEST_POSES} poses (found: {poses})"
+                    f"{sd:.2g} {unit}, expected {most:g} or less; record the IMU at rest, or for 5 s in each "
+                    f"of {FEWEST_POSES} poses (found: {poses})"
                 )
             break
     if "accel" in triads:

@@ -47,7 +47,7 @@ def make_measured_spec(name: str, fits: Sequence[NoiseFit], poses: Sequence[Pose
 def format_measured_sheet(name: str, measured: AllanResult) -> str:
     """Return the text of the datasheet of an IMU that was measured at rest.
 
-    A parameter with an interval that reaches 0 is not in the sheet; the source of the sheet has its upper limit.
+    A parameter with an interval that reaches 0 is not in the sheet; the source has its upper limit.
     """
     fits, poses = measured.fits, measured.poses
     sources = {
