@@ -161,6 +161,8 @@ def allan(unit: str | None, log: Path | None, **options: Any) -> int:
     """
     if unit is None and log is None:
         raise click.UsageError("give a UNIT of the catalog or --log FILE")
+    if unit is not None and log is None and Path(unit).suffix in (".csv", ".parquet", ".mat"):
+        raise click.UsageError(f"{unit} is a log: bench allan --log {unit}")
     from bench.cli.verbs.record_verbs import measure_allan
 
     return DONE if measure_allan(unit, log, console=new_console(), **options) else NEGATIVE

@@ -263,7 +263,7 @@ def test_the_verb_prints_what_is_lost_and_what_has_no_conversion(tmp_path, monke
     out = capsys.readouterr().out
     assert "update_rate: 200" in out
     assert "lost: accel bias instability 50 ug: no parameter; it is not part of the random walk" in out
-    assert "lost: accel rate random walk: the datasheet has none, 0 is written" in out
+    assert "lost: accel rate random walk: the datasheet has none, 0 is written, which keeps" in out
     assert "IMU-Noise-Model" in out
     assert main(["convert", "imu.yaml", "--from", "kalibr", "-o", "mine.toml"]) == 0
     assert "rate_random_walk_deg_h_sqrt_h = 0.30024" in capsys.readouterr().out

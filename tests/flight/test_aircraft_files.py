@@ -82,7 +82,8 @@ def test_every_file_names_its_sources_and_one_imu_is_off_the_center_of_gravity()
         assert "assumed: " in listed[name]
         assert (spec.folder / "README.md").is_file()
         assert ("IMU off" in listed[name]) == any(spec.imu_b)
-        assert (spec.rest_height is not None) == ("takes off and lands" in listed[name])
+        assert (spec.rest_height is None) == ("in the air only" in listed[name])
+        assert (spec.kind == "glider" and spec.rest_height is not None) == ("on a winch" in listed[name])
     assert any(any(spec.imu_b) for spec in OWN.values())
 
 

@@ -157,9 +157,7 @@ def test_every_unit_has_the_allan_deviation_of_its_figures(path):
         assert curve.tau[-1] == 4096
         assert_allclose(curve.tau[1:] / curve.tau[:-1], 2.0, rtol=0.25)
         assert curve.edf.min() > 30
-        assert curve.outside <= 1, (
-            curve.measured / curve.expected
-        )  # of 21 in the 99.9 % band; of 1680, two are
+        assert curve.outside <= 1, curve.measured / curve.expected  # of 1680 values, 1.7 are beyond 99.9 %
 
 
 FULL = ImuSpec(
@@ -185,9 +183,7 @@ FULL = ImuSpec(
 def test_all_four_terms_at_once():
     """Quantization is as large as the white noise at 5 ms; then that rules, the instability, the walk."""
     for curve in measure_model(FULL, 3):
-        assert curve.outside <= 1, (
-            curve.measured / curve.expected
-        )  # of 21 in the 99.9 % band; of 1680, two are
+        assert curve.outside == 0, curve.measured / curve.expected
         bits, white, instability, walk = curve.terms.values()
         assert bits[0] > 0.95 * white[0]
         assert set(np.argmax([white, instability, walk], axis=0)) == {0, 1, 2}
@@ -198,9 +194,7 @@ def test_axes_that_differ_are_held_against_the_mean_of_their_variances():
     walk = AxisFigures("rate_random_walk", 1e-7, 4e-7, 1e-7)
     gyro = replace(FULL.gyro, random_walk=6e-5, rate_random_walk=4e-7, axes=(white, walk))
     for curve in measure_model(replace(FULL, gyro=gyro), 3):
-        assert curve.outside <= 1, (
-            curve.measured / curve.expected
-        )  # of 21 in the 99.9 % band; of 1680, two are
+        assert curve.outside == 0, curve.measured / curve.expected
 
 
 @pytest.mark.parametrize(
@@ -307,6 +301,20 @@ def test_a_log_is_compared_with_a_datasheet(here, capsys):
     assert read_imu(here / "mine.toml", "mine.toml").gyro.random_walk == pytest.approx(1e-3, rel=0.1)
 
 
+def test_noise_of_another_unit_is_doubted(here, capsys):
+    """1 deg/s named rad/s is 57 times as much; the noise itself is that of a consumer IMU."""
+    desk_log(here / "desk.csv", N=8e-5, K=1e-6, seconds=100.0)
+    doubt = "gyro: more white noise than any IMU of the catalog (!): are its columns in rad/s, or deg/s?"
+    assert main(["allan", "--log", "desk.csv"]) == 0
+    out = capsys.readouterr().out
+    assert doubt not in out
+    assert "not in the datasheet: turn-on bias, scale factor, misalignment" in out
+    text = (here / "desk.csv").read_text()
+    (here / "deg.csv").write_text(text.replace("deg_s", "rad_s"))
+    assert main(["allan", "--log", "deg.csv"]) == 0
+    assert doubt in " ".join(capsys.readouterr().out.split())
+
+
 def test_a_short_log_has_curves_and_no_datasheet(here, capsys):
     desk_log(here / "desk.csv", seconds=10.0)
     assert main(["allan", "--log", "desk.csv"]) == 0
@@ -391,6 +399,7 @@ def test_a_wrong_log_is_one_line_with_its_place(here, text, message):
     [
         (["allan"], "give a UNIT of the catalog or --log FILE"),
         (["allan", "stim30"], "Did you mean 'stim300'?"),
+        (["allan", "desk.csv"], "desk.csv is a log: bench allan --log desk.csv"),
         (["allan", "--log", "nowhere.csv"], "nowhere.csv: no such file"),
         (["allan", "stim300", "-o", "picture.txt"], "must end in .png, .svg or .pdf"),
         (["allan", "silent.toml"], "silent: has no random error to measure"),

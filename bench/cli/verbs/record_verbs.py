@@ -8,6 +8,7 @@ from pathlib import Path
 from shlex import quote
 from typing import Any
 
+import numpy as np
 from rich.console import Console
 
 from bench.cli import api, exchanging
@@ -237,14 +238,30 @@ def measure_allan(
     outside = f"{measured.outside} of {measured.points} values lie outside their 99.9 % band{mark}."
     sentences = [*fits, f"picture: {picture}", *([outside] if measured.simulated else [])]
     if beside is not None and not measured.fits:
-        sentences.append(f"no datasheet: a fit needs {FEWEST} samples or more")
+        sentences.append(f"no datasheet: a fit needs {FEWEST} samples or more at rest in one pose")
+    white = {fit.triad: fit.estimates["random_walk"].low for fit in measured.fits}
+    sentences += [_doubt_unit(triad) for triad, least in white.items() if least > _MOST[triad]]
     if sheet is not None:
+        if not measured.poses:
+            sentences.append(
+                "not in the datasheet: turn-on bias, scale factor, misalignment; add them from the "
+                "maker's, or record six poses"
+            )
         sentences.append(
             f"datasheet: {sheet}; next: bench run figure-eight --set sensors.imu={quote(str(sheet))}"
         )
     name = "fit" if measured.fitted else "datasheet"
     print_findings(console, sentences, [tabulate_allan(curve, name) for curve in measured.curves])
     return measured.held
+
+
+_MOST = {"gyro": np.deg2rad(5.0) / 60.0, "accel": 0.02}
+"""White noise [unit/sqrt(s)] above five times that of any IMU of the catalog."""
+
+
+def _doubt_unit(triad: str) -> str:
+    used = {"gyro": "rad/s, or deg/s", "accel": "m/s^2, or g"}[triad]
+    return f"{triad}: more white noise than any IMU of the catalog (!): are its columns in {used}?"
 
 
 def convert_unit(unit: str, *, to: str | None, console: Console, **options: Any) -> None:
@@ -269,8 +286,9 @@ def convert_unit(unit: str, *, to: str | None, console: Console, **options: Any)
         return
     converted = exchanging.convert_unit(unit, to=to, **options)
     console.print(converted.text, markup=False, highlight=False, soft_wrap=True, end="")
+    head = "lost: " if to is not None else ""
     for line in converted.lost:
-        console.print(f"lost: {line}", markup=False, highlight=False, soft_wrap=True)
+        console.print(f"{head}{line}", markup=False, highlight=False, soft_wrap=True)
     program = parameters.PROGRAMS[converted.program]
     for line in (program.note, f"definitions: {program.source}"):
         if line:

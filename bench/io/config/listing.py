@@ -123,7 +123,8 @@ def _describe_aircraft(sheet: Mapping[str, Any]) -> str:
     parts += [f"trimmed at {row['speed_mps']:g} m/s, {row['alt_m']:g} m" for row in sheet.get("trim", [])]
     grounded = "runway" in sheet or "stand" in sheet
     parts += [str(sheet["kind"])] if "kind" in sheet else []
-    parts.append("takes off and lands" if grounded else "in the air only")
+    ground = "starts on a winch" if sheet.get("kind") == "glider" else "takes off and lands"
+    parts.append(ground if grounded else "in the air only")
     parts += ["IMU off the center of gravity"] if "imu" in sheet else []
     parts += [f"source: {sheet['source']}"] if "source" in sheet else []
     parts += [f"assumed: {', '.join(sheet['assumed'])}"] if "assumed" in sheet else []

@@ -138,7 +138,8 @@ def _list_lost(spec: ImuSpec, program: Program) -> Iterator[str]:
         triad: TriadSpec = getattr(spec, name)
         used = {one.figure for one in program.parameters if one.triad == name}
         if "rate_random_walk" in used and not triad.rate_random_walk:
-            yield f"{name} rate random walk: the datasheet has none, 0 is written"
+            more = ", which keeps a filter from estimating biases: consider --bias-as-walk"
+            yield f"{name} rate random walk: the datasheet has none, 0 is written{more}"
         for field, figure in triad_figures_of(TriadSpec).items():
             value = getattr(triad, field)
             if not value or field in used or (field == "bias_correlation" and "instability_sd" in used):
