@@ -148,7 +148,13 @@ class _Shelf(click.Choice[str]):
 )
 @click.option("--json", "as_json", is_flag=True, help="print JSON")
 @click.option("--long", "long", is_flag=True, help="for sensors: all datasheet values in one table")
-def list_all(kind: str | None, as_json: bool, long: bool) -> int:
+@click.option(
+    "--picture",
+    type=FILE,
+    metavar="FILE",
+    help="for sensors: draw the Allan deviation of all IMUs, by class",
+)
+def list_all(kind: str | None, as_json: bool, long: bool, picture: Path | None) -> int:
     """List profiles, sensors, filters and studies.
 
     KIND is profiles, aircraft, legs, sensors, filters, exports, studies, metrics or packages, or a kind
@@ -159,6 +165,12 @@ def list_all(kind: str | None, as_json: bool, long: bool) -> int:
 
     if long and kind != "sensors":
         raise click.UsageError("--long is for bench list sensors")
+    if picture is not None and kind != "sensors":
+        raise click.UsageError("--picture is for bench list sensors")
+    if picture is not None:
+        from bench.cli.verbs.show import draw_imus
+
+        draw_imus(picture, new_console())
     if long and as_json:
         from bench.io.config.figure_table import tabulate_figures
         from bench.io.config.listing import KINDS

@@ -160,6 +160,17 @@ def test_every_unit_has_the_allan_deviation_of_its_figures(path):
         assert curve.outside <= 1, curve.measured / curve.expected  # of 1680 values, 1.7 are beyond 99.9 %
 
 
+def test_the_picture_of_the_catalog_has_a_line_for_each_imu_of_a_class(here, monkeypatch):
+    from matplotlib.axes import Axes
+
+    drawn = []
+    monkeypatch.setattr(Axes, "annotate", lambda axes, text, *_, **__: drawn.append(text.strip()))
+    assert main(["list", "sensors", "--picture", "imus.png"]) == 0
+    assert (here / "imus.png").stat().st_size > 50_000
+    assert set(drawn) == {path.stem for path in UNITS if "synthetic" not in path.read_text()}
+    assert main(["list", "aircraft", "--picture", "imus.png"]) == 2
+
+
 FULL = ImuSpec(
     "full",
     TriadSpec(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from rich.console import Console
@@ -17,8 +18,11 @@ from bench.core.records.specs import Profile
 from bench.core.words.notebook import ShownFigure
 from bench.core.words.wording import one_line
 from bench.io import config
+from bench.io.config.datasheets import read_imu
 from bench.io.config.figure_table import MARKS, tabulate_figures
-from bench.io.config.listing import KINDS, CatalogEntry, KeyEntry
+from bench.io.config.library import find_datasheet
+from bench.io.config.listing import KINDS, CatalogEntry, KeyEntry, find_sheets
+from bench.io.config.toml_file import read_toml
 from bench.navigation.built_in import BUILT_IN
 from bench.simulation.signals.terrain import read_grid
 
@@ -216,6 +220,19 @@ def print_sensors(console: Console) -> None:
     marks = "; ".join(f"{mark.strip()} {words}" for mark, words in MARKS.items())
     text = f"{marks}; unmarked: read in the source of the file; - absent, the model lacks this error."
     console.print(text, soft_wrap=True)
+
+
+def draw_imus(picture: Path, console: Console) -> None:
+    """Draw the Allan deviation of the IMUs of the catalog by class, and print where."""
+    from bench.views.report import allan_picture
+
+    allan_picture.check_picture(picture, force=True)
+    units = [
+        (str(read_toml(path, shown).get("class")), read_imu(path, shown))
+        for path, shown in (find_datasheet("imu", name, Path()) for name in find_sheets("imu"))
+    ]
+    allan_picture.draw_catalog(picture, units)
+    console.print(f"picture: {picture}", soft_wrap=True)
 
 
 def _print_rows(console: Console, title: str, heads: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
