@@ -25,7 +25,7 @@ import re
 import shutil
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import cache, cached_property, update_wrapper
 from pathlib import Path
@@ -337,6 +337,24 @@ def find_address(function: Callable[..., object], types: KernelTypes) -> int:
         dispatcher = cast(Kernel, function).dispatcher
         at = types.addresses[function] = _find_code(dispatcher, types.kinds)
     return at
+
+
+def find_addresses(wanted: Sequence[tuple[Callable[..., object], KernelTypes]]) -> list[int]:
+    """Return where the code of several inner kernels lies (:func:`find_address`).
+
+    Those that another process compiles now come last.
+    """
+    found, waiting = dict[int, int](), dict(enumerate(wanted))
+    while waiting:
+        number = next((i for i in waiting if not _is_compiled_elsewhere(*waiting[i])), min(waiting))
+        found[number] = find_address(*waiting.pop(number))
+    return [found[i] for i in range(len(wanted))]
+
+
+def _is_compiled_elsewhere(function: Callable[..., object], types: KernelTypes) -> bool:
+    if function in types.addresses or is_plain():
+        return False
+    return bool(cast(Kernel, function).dispatcher._cache._cache_file.is_compiled_elsewhere())
 
 
 def _find_code(dispatcher: Any, kinds: tuple[Any, ...]) -> int:

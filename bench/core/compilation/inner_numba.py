@@ -12,6 +12,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from bench.core.compilation.kernel_locks import is_locked, lock, unlock
+
 _IDLE_PASSES = {
     "WithLifting",
     "InlineClosureLikes",
@@ -107,7 +109,10 @@ def compilers() -> tuple[type, type]:
 
 @cache
 def summed_files() -> type:
-    """Return a class of numba cache files with checksums: a damaged file is reported once and made again."""
+    """Return a class of numba cache files with checksums: a damaged file is reported once and made again.
+
+    Of two processes that miss the same kernel, one compiles it.
+    """
     import pickle
 
     from numba.core.caching import IndexDataCacheFile
@@ -115,6 +120,25 @@ def summed_files() -> type:
     files: Any = IndexDataCacheFile
 
     class SummedFiles(files):  # type: ignore[misc]
+        def load(self, key: object) -> Any:
+            """Return what is cached; if nothing is, lock the kernel, and see what another process made."""
+            found = super().load(key)
+            if found is None:
+                lock(Path(self._cache_path), self._index_name)
+                if (found := super().load(key)) is not None:
+                    unlock(Path(self._cache_path), self._index_name)
+            return found
+
+        def save(self, key: object, data: object) -> None:
+            try:
+                super().save(key, data)
+            finally:
+                unlock(Path(self._cache_path), self._index_name)
+
+        def is_compiled_elsewhere(self) -> bool:
+            """Return whether another process compiles this kernel."""
+            return is_locked(Path(self._cache_path), self._index_name)
+
         def _write(self, path: str, value: object) -> None:
             data = self._dump(value)
             with self._open_for_write(path) as file:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bench.core.compilation.compiled import inner, kernel
+from bench.core.compilation.compiled import inner, kernel, make_caller, types_of
 from bench.core.compilation.wide_rows import widened
 from bench.core.files import disk_arrays
 from bench.core.mathematics.arrays import FloatArray, IntArray, read_only
@@ -105,6 +105,10 @@ def _answer_kernel(now: FilterState, at: int, stores: Stores) -> None:
             stores.offset[at, i] = P[stores.clock, i]
 
 
+call_advance = make_caller([advance_kernel])
+call_use = make_caller([use_kernel])
+
+
 @kernel
 def fusion_kernel(
     schedule: IntArray,
@@ -123,9 +127,11 @@ def fusion_kernel(
     """Run the filter over a piece of a record.
 
     A row of the schedule is a step (-1: the start), what is done after it, the kind of measurement, its row
-    among its kind, and the slot it waits in. An answer is that of a filter which goes ``ahead`` (M,) of the
-    next step and ends a step of the covariance there. With the nodes of a smoother the filter itself ends a
-    step at each answer, and none is ahead. The state of the site is that at the start and becomes the last.
+    among its kind, and the slot it waits in. The last two ``fillers`` are the addresses of `advance_kernel`
+    and `use_kernel`, so that two processes can compile them side by side. An answer is that of a filter
+    which goes ``ahead`` (M,) of the next step and ends a step of the covariance there. With the nodes of a
+    smoother the filter itself ends a step at each answer, and none is ahead. The state of the site is that
+    at the start and becomes the last.
     """
     now, _, index, pending, _ = site
     n = now.P.shape[0]
@@ -147,9 +153,10 @@ def fusion_kernel(
                 target, part = until + 1, ahead[output]
         closing = peeking or not (asked or action == GO_ON)
         if k < target or closing:
-            advance_kernel(
-                k, target, goes, process, index, steps, interval, work, pending, keep, closing, part, peeking
-            )
+            call_advance(
+                fillers[-2], k, target, goes, process, index, steps, interval, work, pending,
+                keep, closing, part, peeking,
+            )  # fmt: skip
         k = until
         if peeking:
             for i in range(carried.whole.shape[0]):
@@ -197,7 +204,7 @@ def fusion_kernel(
                     and heading_lost_kernel(now.state, now.P)
                 ):
                     carried.heading_lost[0] = t
-                use_kernel(t, first, made, now, before, pending, gate, log, update)
+                call_use(fillers[-1], t, first, made, now, before, pending, gate, log, update)
             e += 1
         if keep:
             _keep_kernel(now, stores.node_state[node, 1], stores.node_cov[node, 1])
@@ -348,9 +355,12 @@ class ForwardRun(SessionState):
         )
         site = Site(now, data, index, pending, work.measure)
         kinds = set(entries[entries[:, 1] < USE, 2].tolist())
+        advance = 0, 0, now, process, index, steps, self.interval, work, pending, keep, False, 1.0, False
+        use = 0.0, 0, 0, now, work.step.Phi, pending, gate, log, work.update
+        parts = (advance_kernel, types_of(*advance)), (use_kernel, types_of(*use))
         fusion_kernel(
             entries,
-            place_fillers(kinds, site, sky),
+            place_fillers(kinds, site, sky, parts),
             plan.ahead,
             site,
             process,

@@ -105,10 +105,11 @@ def use_kernel(
     gate: Gate,
     log: InnovationLog,
     work: UpdateWork,
-) -> None:
+) -> int:
     """Test each sub-vector of a measurement, update with the accepted ones, log all, and feed back.
 
     ``before`` is the covariance before the measurement that a smoother uses: it grows where P does.
+    Called by its address, it returns 0.
     """
     P, dx, n, trust = now.P, now.dx, now.P.shape[0], gate.trust
     if not tells_heading_kernel(pending.tags[first, 0]):
@@ -213,3 +214,4 @@ def use_kernel(
         swing_kernel(pending.H[first : first + 6], work.axes[0], work.axes[1], work.axes[2], now.state, P)
     else:
         feedback_kernel(now.state, dx)
+    return 0

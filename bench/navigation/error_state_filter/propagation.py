@@ -324,11 +324,11 @@ def advance_kernel(
     closing: bool,
     part: float,
     ahead: bool,
-) -> None:
+) -> int:
     """Propagate over the steps k + 1 to ``until``, the last one only by a ``part`` (1: completely).
 
     A step of the covariance ends after an ``interval`` [s], 0: every sample, and with ``closing`` at the end.
-    ``ahead``: rows that wait stay as they are.
+    ``ahead``: rows that wait stay as they are. Called by its address, it returns 0.
     """
     state, P = now.state, now.P
     carried, step, memory, measure, update, _ = work
@@ -433,3 +433,4 @@ def advance_kernel(
         T = 0.0
     carried.elapsed[0] = T
     mirror_kernel(P)
+    return 0

@@ -13,12 +13,12 @@ at this elevation, and is no part of R. Satellites share those of the ionosphere
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from bench.core.compilation.compiled import find_address, inner, make_caller, types_of
+from bench.core.compilation.compiled import KernelTypes, find_addresses, inner, make_caller, types_of
 from bench.core.mathematics.arrays import FloatArray, IntArray
 from bench.core.mathematics.earth import WGS84, radii_kernel
 from bench.core.records.data import GnssObservations
@@ -199,14 +199,25 @@ def _with_rows(sky: SkyRows, *columns: Any) -> SkyRows:
     return SkyRows(*columns, *sky[len(columns) :])
 
 
-def place_fillers(kinds: Iterable[int], site: Site, sky: SkyRows) -> IntArray:
-    """Return, for each kind of record, the address of the function that fills its rows; 0 for others."""
-    at = np.zeros(max(ROWS) + 1, np.int64)
+def place_fillers(
+    kinds: Iterable[int],
+    site: Site,
+    sky: SkyRows,
+    others: Sequence[tuple[Callable[..., object], KernelTypes]] = (),
+) -> IntArray:
+    """Return, for each kind of record, the address of the function that fills its rows; 0 for others.
+
+    The addresses of ``others``, each a kernel and its types, come last.
+    """
+    wanted: dict[int, tuple[Callable[..., object], KernelTypes]] = {}
     for kind in kinds:
         if kind == SATELLITE_ROWS:
-            at[kind] = find_address(satellites_kernel, types_of(0, 0, site, sky))
+            wanted[kind] = satellites_kernel, types_of(0, 0, site, sky)
         else:
-            at[kind] = find_address(ROWS[kind], types_of(0, 0, site))
+            wanted[kind] = ROWS[kind], types_of(0, 0, site)
+    wanted |= dict(enumerate(others, max(ROWS) + 1))
+    at = np.zeros(max(ROWS) + 1 + len(others), np.int64)
+    at[list(wanted)] = find_addresses(list(wanted.values()))
     return at
 
 
