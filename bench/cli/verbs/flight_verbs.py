@@ -12,6 +12,7 @@ from typing import Any
 
 from rich.console import Console
 
+from bench.cli.compiling import compile_beside
 from bench.cli.verbs.console import show_bar
 from bench.cli.verbs.printing import print_findings
 from bench.core.records.run_records import ShowFlight
@@ -60,7 +61,8 @@ def run(
     from bench import pipeline  # what takes half a second comes after the first line
 
     begun = time.perf_counter()
-    with contextlib.nullcontext() if live is None else live(profile.name) as show, show_stages() as watch:
+    showing = contextlib.nullcontext() if live is None else live(profile.name)
+    with showing as show, show_stages() as watch, compile_beside(profile):
         result = pipeline.run(profile, draw, bound=bound, causes=causes, progress=watch, show=show)
     with write_first(console, result, folder, recording=recording, report=report, force=force):
         if junit is not None:

@@ -41,7 +41,6 @@ def warm(name: str | None, *, console: Console, estimators: tuple[str, ...] | No
     bench.ConfigError
         If there is no such profile, or it has no built-in estimator.
     """
-    base = config.read_profile(_EVERY_SENSOR)
     own = tuple(use for use, row in BUILT_IN.items() if row.package is None)
     chosen = estimators or (own if name is None else None)
     profile = config.read_profile(name or _EVERY_SENSOR, estimators=chosen, allow_code=True)
@@ -50,7 +49,7 @@ def warm(name: str | None, *, console: Console, estimators: tuple[str, ...] | No
         raise ConfigError(f"{profile.name}: no built-in filter to compile; there are {', '.join(BUILT_IN)}")
     folder, begun = choose_cache(), time.perf_counter()
     before = _count_kernels(folder)
-    run_shortly(base, profile, built_in)
+    run_shortly(profile, built_in)
     compiled, spent = _count_kernels(folder) - before, time.perf_counter() - begun
     what = (
         f"Compiled {compiled} kernels in {spent:.1f} s" if compiled else "All kernels were compiled already"
@@ -58,8 +57,9 @@ def warm(name: str | None, *, console: Console, estimators: tuple[str, ...] | No
     console.print(f"{what}: {folder}", soft_wrap=True)
 
 
-def run_shortly(base: Profile, profile: Profile, choices: tuple[EstimatorChoice, ...]) -> None:
+def run_shortly(profile: Profile, choices: tuple[EstimatorChoice, ...]) -> None:
     """Run a short level flight: the sensors of a profile, the filters and the evaluation."""
+    base = config.read_profile(_EVERY_SENSOR)
     assert isinstance(base.flight, FlightSpec)
     rate = max(base.flight.rate, getattr(profile.flight, "rate", 0.0))
     flight = replace(base.flight, legs=(Straight(_SECONDS),), duration=None, rate=rate)

@@ -79,6 +79,7 @@ class Kernel:
             known = made._cache._cache_file
             base = known._index_name.removesuffix(".nbi")
             made._cache._cache_file = summed_files()(known._cache_path, base, known._source_stamp)
+            made._cache._cache_file.turn = _CLOCK.turn
         return made
 
     @cached_property

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import sys
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -120,11 +121,18 @@ def summed_files() -> type:
     files: Any = IndexDataCacheFile
 
     class SummedFiles(files):  # type: ignore[misc]
+        turn: Callable[[int], object]  # called with 1 and -1 when a wait for another process begins and ends
+
         def load(self, key: object) -> Any:
             """Return what is cached; if nothing is, lock the kernel, and see what another process made."""
             found = super().load(key)
             if found is None:
+                waits = self.is_compiled_elsewhere()
+                if waits:
+                    self.turn(1)
                 lock(Path(self._cache_path), self._index_name)
+                if waits:
+                    self.turn(-1)
                 if (found := super().load(key)) is not None:
                     unlock(Path(self._cache_path), self._index_name)
             return found
