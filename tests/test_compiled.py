@@ -13,7 +13,7 @@ import numba
 import numpy as np
 import pytest
 
-from bench.core.compilation import compiled
+from bench.core.compilation import compiled, kernel_locks
 from bench.core.files import places
 from bench.core.mathematics import earth
 from tests import kernel_modes
@@ -272,6 +272,73 @@ def test_plain_kernels_give_filters_the_same_bits(tmp_path):
     assert said[1][0].startswith("True ")
     assert len(said[0]) == 6
     assert said[0][1:] == said[1][1:]
+
+
+SHARED = """
+import sys
+from bench.core.compilation import compiled
+from tests import kernel_modes
+kinds = compiled.types_of(0.1, kernel_modes.wide((4, 8)), kernel_modes.wide((4, 16)))
+kernels = [kernel_modes.fill_kernel, kernel_modes.sum_kernel]
+for one in kernels:
+    one.dispatcher
+print("ready", flush=True)
+sys.stdin.readline()
+compiled.find_addresses([(one, kinds) for one in kernels])
+print(*(len(one.dispatcher.stats.cache_misses) for one in kernels))
+"""
+
+
+def start_shared(cache: Path) -> subprocess.Popen[str]:
+    """Return a process that is about to compile two kernels, and begins with a line on its stdin."""
+    child = subprocess.Popen(
+        [sys.executable, "-c", SHARED],
+        cwd=places.PACKAGE.parent,
+        env=os.environ | {"NUMBA_CACHE_DIR": str(cache)},
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    assert child.stdout.readline() == "ready\n"
+    return child
+
+
+needs_locks = pytest.mark.skipif(
+    compiled.is_plain() or sys.platform == "win32", reason="these kernels have no locks"
+)
+
+
+@needs_locks
+def test_two_processes_compile_a_kernel_once(tmp_path):
+    """Each begins with the kernel that the other one leaves; a miss is what is not in the cache at last."""
+    children = [start_shared(tmp_path) for _ in range(2)]
+    for child in children:
+        child.stdin.write("go\n")
+        child.stdin.flush()
+    misses = np.array([[int(word) for word in child.communicate()[0].split()] for child in children])
+    assert misses.sum(axis=0).tolist() == [1, 1]
+
+
+@needs_locks
+def test_a_kernel_whose_process_was_killed_is_compiled_by_the_next(tmp_path):
+    """The lock goes with its process: that of the first is taken, and the second waits until it is killed."""
+    code = """
+import sys, time
+from pathlib import Path
+from bench.core.compilation import kernel_locks
+kernel_locks.lock(Path(sys.argv[1]), "kernel")
+print("locked", flush=True)
+time.sleep(600)
+"""
+    with subprocess.Popen(
+        [sys.executable, "-c", code, str(tmp_path)], stdout=subprocess.PIPE, text=True
+    ) as child:
+        assert child.stdout.readline() == "locked\n"
+        assert kernel_locks.is_locked(tmp_path, "kernel")
+        assert not kernel_locks.is_locked(tmp_path, "another")
+        child.kill()
+    kernel_locks.lock(tmp_path, "kernel")
+    assert not kernel_locks.is_locked(tmp_path, "kernel")
 
 
 def test_nothing_is_collected_while_numba_compiles():

@@ -8,8 +8,9 @@ import pickle
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from pathlib import Path
 
 from bench.core.compilation.compiled import choose_cache, is_plain
 from bench.core.records.specs import Profile
@@ -27,7 +28,8 @@ def compile_beside(profile: Profile) -> Iterator[None]:
     with the block, and with this process.
     """
     own = tuple(choice for choice in profile.estimators if choice.use in BUILT_IN)
-    if not own or _count_cores() < 2 or not _is_cold():
+    done = [choose_cache() / f"{choice.use}.compiled" for choice in own]
+    if not own or _count_cores() < 2 or not _is_cold(done):
         yield
         return
     nowhere = subprocess.DEVNULL
@@ -49,6 +51,8 @@ def compile_beside(profile: Profile) -> Iterator[None]:
         finally:
             child.kill()
             child.wait()
+    for mark in done:
+        mark.touch()
 
 
 def _count_cores() -> int:
@@ -57,9 +61,9 @@ def _count_cores() -> int:
     return os.cpu_count() or 1
 
 
-def _is_cold() -> bool:
-    """Return whether the cache can be written, has locks, and holds no filter."""
-    if sys.platform == "win32" or is_plain():
+def _is_cold(marks: Sequence[Path]) -> bool:
+    """Return whether the cache can be written, has locks, and holds neither a mark nor the usual filter."""
+    if sys.platform == "win32" or is_plain() or any(mark.exists() for mark in marks):
         return False
     folder = choose_cache()
     with contextlib.suppress(OSError):
