@@ -3,6 +3,7 @@
 import gc
 import os
 import pickle
+import shutil
 import subprocess
 import sys
 import time
@@ -275,32 +276,23 @@ def test_plain_kernels_give_filters_the_same_bits(tmp_path):
 
 
 SHARED = """
-import sys
 from bench.core.compilation import compiled
-from tests import kernel_modes
-kinds = compiled.types_of(0.1, kernel_modes.wide((4, 8)), kernel_modes.wide((4, 16)))
-kernels = [kernel_modes.fill_kernel, kernel_modes.sum_kernel]
-for one in kernels:
-    one.dispatcher
-print("ready", flush=True)
-sys.stdin.readline()
-compiled.find_addresses([(one, kinds) for one in kernels])
-print(*(len(one.dispatcher.stats.cache_misses) for one in kernels))
+from tests.kernel_modes import fill_kernel, sum_kernel, wide
+kinds = compiled.types_of(0.1, wide((4, 8)), wide((4, 16)))
+compiled.find_addresses([(fill_kernel, kinds), (sum_kernel, kinds)])
+print(*(sum(one.dispatcher.stats.cache_misses.values()) for one in (fill_kernel, sum_kernel)))
 """
 
 
-def start_shared(cache: Path) -> subprocess.Popen[str]:
-    """Return a process that is about to compile two kernels, and begins with a line on its stdin."""
-    child = subprocess.Popen(
+def compile_two(cache: Path) -> subprocess.Popen[str]:
+    """Return a process that compiles `fill_kernel` and `sum_kernel`, and prints how often it did."""
+    return subprocess.Popen(
         [sys.executable, "-c", SHARED],
         cwd=places.PACKAGE.parent,
         env=os.environ | {"NUMBA_CACHE_DIR": str(cache)},
-        stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,
     )
-    assert child.stdout.readline() == "ready\n"
-    return child
 
 
 needs_locks = pytest.mark.skipif(
@@ -309,14 +301,21 @@ needs_locks = pytest.mark.skipif(
 
 
 @needs_locks
-def test_two_processes_compile_a_kernel_once(tmp_path):
-    """Each begins with the kernel that the other one leaves; a miss is what is not in the cache at last."""
-    children = [start_shared(tmp_path) for _ in range(2)]
-    for child in children:
-        child.stdin.write("go\n")
-        child.stdin.flush()
-    misses = np.array([[int(word) for word in child.communicate()[0].split()] for child in children])
-    assert misses.sum(axis=0).tolist() == [1, 1]
+def test_a_kernel_that_another_process_compiles_comes_last_and_is_not_compiled_twice(tmp_path):
+    """This process is the other one: it holds the lock, and leaves the files of a cache filled before."""
+    full, shared = tmp_path / "full", tmp_path / "shared"
+    assert compile_two(full).communicate()[0] == "1 1\n"
+    (index,) = full.rglob("*fill_kernel*.nbi")
+    place = shared / index.parent.relative_to(full)
+    kernel_locks.lock(place, index.name)
+    with compile_two(shared) as child:
+        while not list(place.glob("*sum_kernel*.nbc")):
+            assert child.poll() is None
+            time.sleep(0.01)
+        for path in index.parent.glob("*fill_kernel*"):
+            shutil.copy(path, place)
+        kernel_locks.unlock(place, index.name)
+        assert child.communicate()[0] == "0 1\n"
 
 
 @needs_locks
