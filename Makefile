@@ -1,19 +1,21 @@
 # Each target sets up .venv by itself; PYTHON chooses the interpreter (3.11 or newer). `make run` installs what the
-# package needs, the others what its tests need, too; with uv where it is, else with pip.
+# package needs, the others what its tests need, too.
 PYTHON ?= python3
 # containers set it; then each process of a test would compile the package again
 export PYTHONDONTWRITEBYTECODE =
 # where an environment has its programs
 PROGRAMS := $(if $(filter Windows_NT,$(OS)),Scripts,bin)
 BIN := .venv/$(PROGRAMS)
-ifneq ($(shell command -v uv),)
-VENV := uv venv --quiet --allow-existing --seed --python $(PYTHON) .venv
-PIP := uv pip install --quiet --python $(BIN)/python
-else
-VENV := $(PYTHON) -m venv .venv
-PIP := $(BIN)/pip install --quiet --disable-pip-version-check --no-compile
-endif
 UV := .uv/$(PROGRAMS)/uv
+comma := ,
+PIP := -m pip install --quiet --disable-pip-version-check --no-compile
+FETCH_UV := $(PYTHON) $(PIP) --upgrade --target .uv --require-hashes --requirement requirements-uv.lock
+# install into .venv: with the uv of the machine, else with one that pip fetches, for it takes a third of the time;
+# with pip if there is no uv or it fails, as behind an index that only the settings of pip name
+install = { uv=$$(command -v uv) || { uv=$(UV); test -x $$uv || $(FETCH_UV); }; } 2>/dev/null && \
+	$$uv venv --quiet --allow-existing --seed --python $(PYTHON) .venv && \
+	$$uv pip install --quiet --python $(BIN)/python $(1) || { \
+	{ $(BIN)/python -m pip --version >/dev/null 2>&1 || $(PYTHON) -m venv .venv; } && $(BIN)/python $(PIP) $(1); }
 RELEASE := .release/$(PROGRAMS)
 # short tests that use every dependency
 MINIMA := tests/test_api.py tests/test_compiled.py tests/test_earth.py tests/test_wheel.py tests/config \
@@ -128,10 +130,10 @@ lock: $(UV)
 	$(LOCK) --upgrade --extra test --output-file requirements.lock pyproject.toml
 	$(LOCK) --constraint requirements.lock --output-file requirements-core.lock pyproject.toml
 	$(LOCK) --upgrade --group release --output-file requirements-release.lock
+	echo uv | $(LOCK) --upgrade --output-file requirements-uv.lock -
 
-$(UV):
-	$(PYTHON) -m venv .uv
-	.uv/$(PROGRAMS)/python -m pip install --quiet --disable-pip-version-check uv
+$(UV): requirements-uv.lock
+	$(FETCH_UV)
 
 # errors in one package that no test notices: tests/mutants
 SEED ?= 1
@@ -140,21 +142,19 @@ mutants: .venv/ready
 	$(BIN)/python -m tests.mutants '$(PACKAGE)' --seed '$(SEED)' --count '$(COUNT)' --tests $(TESTS)
 
 .venv/ready: pyproject.toml requirements.lock
-	$(VENV)
-	$(PIP) --require-hashes --requirement requirements.lock
-	$(PIP) --no-deps --editable .
+	$(call install,--require-hashes --requirement requirements.lock)
+	$(call install,--no-deps --editable .)
 	touch .venv/core $@
 
 .venv/core: pyproject.toml requirements-core.lock
-	$(VENV)
-	$(PIP) --require-hashes --requirement requirements-core.lock
-	$(PIP) --no-deps --editable .
+	$(call install,--require-hashes --requirement requirements-core.lock)
+	$(call install,--no-deps --editable .)
 	touch $@
 
 .venv/perf: .venv/ready
-	$(PIP) --editable '.[test,perf]'
+	$(call install,--editable '.[test$(comma)perf]')
 	touch $@
 
 .venv/league: .venv/ready
-	$(PIP) --editable '.[test,league]'
+	$(call install,--editable '.[test$(comma)league]')
 	touch $@
