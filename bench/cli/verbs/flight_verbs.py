@@ -62,7 +62,7 @@ def run(
 
     begun = time.perf_counter()
     showing = contextlib.nullcontext() if live is None else live(profile.name)
-    with showing as show, show_stages() as watch, compile_beside(profile):
+    with compile_beside(profile), showing as show, show_stages() as watch:
         result = pipeline.run(profile, draw, bound=bound, causes=causes, progress=watch, show=show)
     with write_first(console, result, folder, recording=recording, report=report, force=force):
         if junit is not None:
