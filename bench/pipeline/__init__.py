@@ -15,6 +15,7 @@ from bench.core.records.run_records import Sensed, ShowFlight
 from bench.core.records.run_result import RunResult
 from bench.core.records.specs import Profile
 from bench.core.words.stages import Progress, Stages
+from bench.evaluation.consistency.headline import make_headline
 from bench.evaluation.judging import Judged
 from bench.io import results
 from bench.navigation import estimator
@@ -125,6 +126,9 @@ def _run(
     clock["judge"] = read_work_clock()
     stages.begin("judging")
     judged, path = evaluate(profile, truth, sensed, answers, steered)
+    for label, known in judged.items():
+        line = make_headline(label, known.metrics)
+        stages.find(", ".join(filter(None, (f"{label}: {line.word}", line.error))))
     clock["causes"] = read_work_clock()
     for label, one in built.items() if causes is not False else ():
         answer = answers.solutions[label]

@@ -14,7 +14,7 @@ import pytest
 import bench
 from bench import pipeline
 from bench.cli.command_line import main
-from bench.cli.verbs import result_table
+from bench.cli.verbs import console, result_table
 from bench.cli.verbs.console import PlainConsole
 from bench.core.compilation import compiled
 from bench.core.records.data import Events, no_events
@@ -125,6 +125,21 @@ def test_a_run_names_its_stages():
     assert str(Stage("flying", 30.0, 60.0)) == "flying, 30 of 60 s"
     assert str(Stage("filter 1 of 2: x", compiling=True)) == "filter 1 of 2: x (compiling, once)"
     assert result.provenance["cpu_s"]["compile"] >= 0.0
+    found = [stage.found for stage in stages if stage.found]
+    assert [line.partition(",")[0] for line in found] == [
+        f"{label}: {make_headline(label, values).word}" for label, values in result.metrics.items()
+    ]
+
+
+def test_a_verdict_stays_on_the_terminal_while_the_run_goes_on(monkeypatch):
+    """It is above the bar, which is gone at last."""
+    written = StringIO()
+    terminal = PlainConsole(file=written, force_terminal=True, width=WIDTH)
+    monkeypatch.setattr(console, "PlainConsole", lambda **_: terminal)
+    with console.show_bar("starting") as show:
+        show("judging", 0.0, None, found="loose-full: consistent, 6.0 m")
+        show("why loose-15 is wrong", 0.0, None)
+    assert written.getvalue().count("loose-full: consistent, 6.0 m\n") == 1
 
 
 def test_compiling_is_told_and_is_not_the_work_of_a_filter():

@@ -37,11 +37,12 @@ class PlainConsole(Console):
 def show_bar(waiting: str, *, timed: bool = False) -> Iterator[Callable[..., None]]:
     """Provide a function that shows the progress on a terminal: activity, amount done, total, and a text.
 
-    Elsewhere it shows nothing. If it is ``timed``, the time since the begin stands in the place of the text.
+    What was ``found`` stays above it. Elsewhere it shows nothing. If it is ``timed``, the time since the
+    begin stands in the place of the text.
     """
     screen = PlainConsole(stderr=True)
     if not screen.is_interactive:
-        yield lambda *_: None
+        yield lambda *_, **__: None
         return
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
@@ -50,7 +51,9 @@ def show_bar(waiting: str, *, timed: bool = False) -> Iterator[Callable[..., Non
     with Progress(*columns, last, console=screen, transient=True) as bar:
         task = bar.add_task(waiting, total=None, text="")
 
-        def show(what: str, done: float, of: float | None, text: str = "") -> None:
+        def show(what: str, done: float, of: float | None, text: str = "", found: str = "") -> None:
+            if found:
+                screen.print(found)
             bar.update(task, description=what, completed=done, total=of, text=text)
 
         yield show

@@ -188,4 +188,4 @@ def look_after_cache(limit: float | None, *, console: Console) -> None:
 def show_stages() -> Iterator[Progress]:
     """Provide a function that shows the current activity on a terminal, and nothing elsewhere."""
     with show_bar("starting", timed=True) as show:
-        yield lambda stage: show(str(stage), stage.done, stage.total or None)
+        yield lambda stage: show(str(stage), stage.done, stage.total or None, found=stage.found)
