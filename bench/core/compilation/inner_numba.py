@@ -62,7 +62,7 @@ def compilers() -> tuple[type, type]:
                 library = Sealed(target.codegen(), "kernel")  # type: ignore[no-untyped-call]
                 library.enable_object_caching()
             kept = SetFlags(flags)  # type: ignore[no-untyped-call]
-            super().__init__(typing, target, library, args, returns, kept, names)  # type: ignore[no-untyped-call]
+            super().__init__(_remember_types(typing), target, library, args, returns, kept, names)  # type: ignore[no-untyped-call]
 
         def define_pipelines(self) -> list[Any]:
             """Return numba's passes, less those that find nothing to do."""
@@ -106,6 +106,31 @@ def compilers() -> tuple[type, type]:
             super().__init__(typing, target, library, *rest)
 
     return Whole, Part
+
+
+@cache
+def _remember_types(typing: Any) -> Any:
+    """Return a typing context that finds the types of an operator on numbers and arrays once.
+
+    numba tries all variants of the operator at each of its uses.
+    """
+    from numba.core import types
+
+    known: dict[Any, Any] = {}
+    kinds = (types.Number, types.Boolean, types.Array)
+
+    class Remembering(type(typing)):  # type: ignore[misc]
+        def _resolve_user_function_type(self, func: Any, args: Any, kws: Any, literals: Any = None) -> Any:
+            if kws or type(func) is not types.Function or not all(isinstance(one, kinds) for one in args):
+                return super()._resolve_user_function_type(func, args, kws, literals)
+            if (found := known.get((func, args))) is None:
+                found = super()._resolve_user_function_type(func, args, kws, literals)
+                known[func, args] = found
+            return found
+
+    context = object.__new__(Remembering)
+    context.__dict__ = typing.__dict__  # one state under both classes
+    return context
 
 
 @cache
