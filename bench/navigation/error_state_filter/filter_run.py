@@ -107,6 +107,7 @@ def _answer_kernel(now: FilterState, at: int, stores: Stores) -> None:
 
 call_advance = make_caller([advance_kernel])
 call_use = make_caller([use_kernel])
+_FILLERS: dict[tuple[int, frozenset[int]], IntArray] = {}  # by types, of which equal ones are one object
 
 
 @kernel
@@ -354,13 +355,16 @@ class ForwardRun(SessionState):
             plan.measured, plan.variance, self.antenna_b.copy(), self.field, self.initial.lla.copy()
         )
         site = Site(now, data, index, pending, work.measure)
-        kinds = set(entries[entries[:, 1] < USE, 2].tolist())
-        advance = 0, 0, now, process, index, steps, self.interval, work, pending, keep, False, 1.0, False
-        use = 0.0, 0, 0, now, work.step.Phi, pending, gate, log, work.update
-        parts = (advance_kernel, types_of(*advance)), (use_kernel, types_of(*use))
+        kinds = frozenset(entries[entries[:, 1] < USE, 2].tolist())
+        types = types_of(site, process, steps, self.interval, work, gate, log, keep, sky)
+        if (fillers := _FILLERS.get((id(types), kinds))) is None:
+            advance = 0, 0, now, process, index, steps, self.interval, work, pending, keep, False, 1.0, False
+            use = 0.0, 0, 0, now, work.step.Phi, pending, gate, log, work.update
+            parts = (advance_kernel, types_of(*advance)), (use_kernel, types_of(*use))
+            fillers = _FILLERS[id(types), kinds] = place_fillers(kinds, site, sky, parts)
         fusion_kernel(
             entries,
-            place_fillers(kinds, site, sky, parts),
+            fillers,
             plan.ahead,
             site,
             process,
