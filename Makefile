@@ -12,7 +12,7 @@ PIP := -m pip install --quiet --disable-pip-version-check --no-compile
 FETCH_UV := $(PYTHON) $(PIP) --upgrade --target .uv --require-hashes --requirement requirements-uv.lock
 # install into .venv: with the uv of the machine, else with one that pip fetches, for it takes a third of the time;
 # with pip if there is no uv or it fails, as behind an index that only the settings of pip name
-install = { uv=$$(command -v uv) || { uv=$(UV); test -x $$uv || $(FETCH_UV); }; } 2>/dev/null && \
+install = echo "Installing into .venv: $(1)"; { uv=$$(command -v uv) || { uv=$(UV); test -x $$uv || $(FETCH_UV); }; } 2>/dev/null && \
 	$$uv venv --quiet --allow-existing --seed --python $(PYTHON) .venv && \
 	$$uv pip install --quiet --python $(BIN)/python $(1) || { \
 	{ $(BIN)/python -m pip --version >/dev/null 2>&1 || $(PYTHON) -m venv .venv; } && $(BIN)/python $(PIP) $(1); }
@@ -142,19 +142,19 @@ mutants: .venv/ready
 	$(BIN)/python -m tests.mutants '$(PACKAGE)' --seed '$(SEED)' --count '$(COUNT)' --tests $(TESTS)
 
 .venv/ready: pyproject.toml requirements.lock
-	$(call install,--require-hashes --requirement requirements.lock)
-	$(call install,--no-deps --editable .)
+	@$(call install,--require-hashes --requirement requirements.lock)
+	@$(call install,--no-deps --editable .)
 	touch .venv/core $@
 
 .venv/core: pyproject.toml requirements-core.lock
-	$(call install,--require-hashes --requirement requirements-core.lock)
-	$(call install,--no-deps --editable .)
+	@$(call install,--require-hashes --requirement requirements-core.lock)
+	@$(call install,--no-deps --editable .)
 	touch $@
 
 .venv/perf: .venv/ready
-	$(call install,--editable '.[test$(comma)perf]')
+	@$(call install,--editable '.[test$(comma)perf]')
 	touch $@
 
 .venv/league: .venv/ready
-	$(call install,--editable '.[test$(comma)league]')
+	@$(call install,--editable '.[test$(comma)league]')
 	touch $@
