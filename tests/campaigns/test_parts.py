@@ -438,7 +438,7 @@ def test_runs_of_a_condition_are_gathered_and_very_many_are_thinned(monkeypatch)
     lost: dict[str, Any] = {"lost": {"key": "lost", "error": "why"}}
 
     def gather(keys: str, most: int) -> list[Group]:
-        monkeypatch.setattr(groups, "MOST_EXACT", most)
+        monkeypatch.setattr(groups, "MOST_KEPT", 6 * most)
         fresh = {
             key: {**row, "estimators": {"x": dict(row["estimators"]["x"])}} for key, row in rows.items()
         } | lost

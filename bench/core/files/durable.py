@@ -81,13 +81,14 @@ def write(path: Path, data: str | bytes) -> None:
         file.write(data.encode() if isinstance(data, str) else data)
 
 
-def append(descriptor: int, data: bytes, at: int, path: Path) -> None:
-    """Write data at a place of an open file of some path, and wait until it is on the disk."""
+def append(descriptor: int, data: bytes, at: int, path: Path, *, sync: bool = True) -> None:
+    """Write data at a place of an open file of some path; with ``sync``, wait until it is on the disk."""
     done = 0
     while done < len(data):
         before("write", path)
         done += _write_at(descriptor, data[done:], at + done)
-    _sync(descriptor, path)
+    if sync:
+        _sync(descriptor, path)
 
 
 def _write_at(descriptor: int, data: bytes, at: int) -> int:

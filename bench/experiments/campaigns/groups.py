@@ -15,13 +15,20 @@ from bench.core.records.specs import EvaluationWindow
 from bench.experiments.campaigns.binned import BinnedRuns
 from bench.experiments.campaigns.journal import Journal
 from bench.experiments.campaigns.plan import Cell, Condition, Plan, PlannedRun
-from bench.experiments.campaigns.worker import CHANNELS, MOST_INSTANTS, decode
+from bench.experiments.campaigns.worker import CHANNELS, MOST_INSTANTS, decode, shorten_numbers
 
 MOST_EXACT = 2000
-"""Runs of a group whose epochs are all kept in memory; beyond, percentiles come from fixed bins."""
+"""Runs of a condition that keep `MOST_INSTANTS` epochs each; of more runs, each keeps `FEW_INSTANTS`."""
+
+MOST_KEPT = MOST_EXACT * MOST_INSTANTS
+"""Epochs of all runs of a group that are kept in memory; beyond, percentiles come from fixed bins."""
 
 PERCENTILES = (5, 50, 95)
 """Percentiles over the runs, at each time."""
+
+_SOME = 8  # runs that show the epochs of a group
+_POOLED = ("converged", "reason", "pos_rmse", "vel_rmse", "tilt_rmse", "heading_rmse", "nees_", "nis_mean",
+           "updates_")  # begin of the metrics over which the statistics of a group are  # fmt: skip
 
 Done = Iterable[tuple[PlannedRun, Mapping[str, Any]]]
 """Finished runs with their rows of the journal."""
@@ -71,18 +78,21 @@ def gather_condition(
 ) -> Iterator[Group]:
     """Yield the runs of each filter under one condition, thinned if they are very many."""
     labels = cells[0].profile.labels
-    stride = -(-len(keys) // MOST_EXACT)
+    step, size = _find_grid(keys, journal)
+    stride = max(1, -(-len(keys) * size // MOST_KEPT))
     binned = {label: BinnedRuns(MOST_INSTANTS, len(CHANNELS)) for label in labels if stride > 1}
     rows = {label: list[dict[str, Any]]() for label in labels}
     kept = {label: list[FloatArray]() for label in labels}
-    step = 0.0
     for key in keys:
         whole = journal[key]
-        step = whole.get("step", step)
         for label, row in whole.get("estimators", {}).items():
-            instants = decode(row.pop("instants"))
-            rows[label].append(row)
+            instants = _place(decode(row["instants"]), whole["step"], step)
             kept[label].append(instants[stride - 1 :: stride])
+            rows[label].append({name: row[name] for name in ("metrics", "states", "nis_dof")})
+            if len(keys) > MOST_EXACT:
+                rows[label][-1]["metrics"] = {
+                    name: value for name, value in row["metrics"].items() if name.startswith(_POOLED)
+                }
             if stride > 1 and row["metrics"]["converged"]:
                 binned[label].add(instants)
     for label in labels if rows[labels[0]] else ():
@@ -108,6 +118,29 @@ def gather_condition(
             kept_t=step * stride * np.arange(1, values.shape[1] + 1),
             kept=values,
         )
+
+
+def _find_grid(keys: Sequence[str], journal: Journal) -> tuple[float, int]:
+    """Return the interval of the epochs of a group [s], and their number, from a few of its runs."""
+    some = [journal[key] for key in keys[:: max(1, len(keys) // _SOME)]]
+    steps = [row["step"] for row in some if "estimators" in row]
+    sizes = [
+        len(_place(decode(one["instants"]), row["step"], max(steps)))
+        for row in some
+        for one in row.get("estimators", {}).values()
+    ]
+    return max(steps, default=1.0), max(sizes, default=0)
+
+
+def _place(instants: FloatArray, own: float, step: float) -> Any:
+    """Return the values (M, C) of a run at the epochs of its group: fewer, or NaN between its own."""
+    if own < step and (every := round(step / own)) > 1:
+        return shorten_numbers(instants[every - 1 :: every])
+    if own > step and (every := round(own / step)) > 1:
+        spread = np.full((every * len(instants), instants.shape[1]), np.nan, np.float32)
+        spread[every - 1 :: every] = instants
+        return spread[:MOST_INSTANTS]
+    return instants
 
 
 def _stack(runs: Sequence[FloatArray]) -> Any:

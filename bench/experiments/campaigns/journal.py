@@ -1,7 +1,9 @@
-"""The journal of a campaign: one line for each finished run, appended by the driver alone.
+"""The journal of a campaign: the finished runs, appended by the driver alone.
 
-A line is a checksum, a space, and a JSON object with the ``key`` of the run. A line whose checksum is wrong,
-such as the last one after a power cut, or that holds something else, counts as not written.
+A finished run is a line of `NAME`: a checksum, a space, and a JSON object with the ``key`` of the run. A line
+whose checksum is wrong, such as the last one after a power cut, or that holds something else, counts as not
+written. After `parts.ROWS` lines, a part gets their runs, and the lines begin anew. After ``kill -9`` every
+finished run is kept; a power cut costs the runs of the last second.
 """
 
 from __future__ import annotations
@@ -9,22 +11,33 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import time
 from base64 import b64decode
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from bench.core.files import durable
+from bench.core.mathematics.arrays import IntArray
 from bench.evaluation.metrics.run_metrics import find_metric
+from bench.experiments.campaigns import parts
 from bench.experiments.campaigns.worker import CHANNELS
+from bench.io import results
 
 NAME = "journal.jsonl"
-"""Name of the journal in the folder of a campaign."""
+"""Name of the journal in the folder of a campaign; its parts are beside it."""
+
+
+def list_files(folder: Path) -> list[str]:
+    """Return the names of the files of the journal in a folder."""
+    return [NAME, *parts.list_parts(folder)]
+
 
 _DIGITS = 16  # of the checksum
 _MOST = 1e15  # no number of a run is larger
+_UNSYNCED = 1.0  # longest time until a line is on the disk, if more come [s]
 
 
 def _whole_instants(text: str) -> str:
@@ -77,14 +90,17 @@ class _Finished(_JournalRow):
 class Journal:
     """The finished runs of a campaign by key, with the rows on disk; leaving the context closes the file.
 
-    If a run has several lines, the last one counts.
+    If a run has several rows, the last one counts.
     """
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._places: dict[str, tuple[int, int]] = {}
+        self._places: dict[str, tuple[int, int]] = {}  # of the lines
+        self._failed: set[str] = set()  # keys of lines with a reason instead of results
         self._end = 0  # of the last whole line
-        self.damaged = 0  # lines that do not count
+        self._synced = time.monotonic()
+        self._parts = parts.Parts(path.parent, _check)
+        self.damaged = self._parts.damaged  # lines and parts that do not count
         self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_BINARY", 0), 0o666)
         with path.open("rb") as file:
             for line in file:
@@ -94,33 +110,60 @@ class Journal:
                 if row is None:
                     self.damaged += 1
                 else:
-                    self._places[row["key"]] = (self._end, len(line))
+                    self._note(row, len(line))
                 self._end += len(line)
+        if self._places and self._places.keys() == self._parts.list_last():  # the part was just written
+            self._begin_anew()
         os.ftruncate(self._descriptor, self._end)
 
     def __enter__(self) -> Journal:
         return self
 
     def __exit__(self, *error: object) -> None:
-        os.close(self._descriptor)
+        try:
+            durable.append(self._descriptor, b"", self._end, self._path)
+        finally:
+            os.close(self._descriptor)
 
     def find_labels(self) -> tuple[str, ...]:
         """Return the filters of the first run that did not fail completely."""
         rows = (self[key] for key in self._places)
-        return next((tuple(row["estimators"]) for row in rows if "estimators" in row), ())
+        found = self._parts.labels
+        return found or next((tuple(row["estimators"]) for row in rows if "estimators" in row), ())
+
+    def find_missing(self, planned: Iterable[tuple[str, IntArray]]) -> list[IntArray]:
+        """Return for each cell and the numbers of its runs those without a row, or that failed as a whole."""
+        lines: dict[str, dict[int, bool]] = {}
+        for key in self._places:
+            cell, run = parts.split_key(key)
+            lines.setdefault(cell, {})[run] = key in self._failed
+        missing = []
+        for cell, runs in planned:
+            found = self._parts.find_finished(cell, runs)
+            for run, failed in lines.get(cell, {}).items():
+                found[runs == run] = not failed
+            missing.append(runs[~found])
+        return missing
 
     def __contains__(self, key: object) -> bool:
-        return key in self._places
+        return key in self._places or key in self._parts
 
     def __getitem__(self, key: str) -> dict[str, Any]:
-        start, length = self._places[key]
-        row = _parse(durable.read_at(self._descriptor, length, start))
+        """Return the row of a run; ConfigError if it is in a part that is damaged."""
+        if key not in self._places:
+            return self._parts[key]
+        row = self._read(key)
         if row is None:
             raise OSError(0, "damaged while it was in use", str(self._path))
         return row
 
+    def _read(self, key: str) -> dict[str, Any] | None:
+        start, length = self._places[key]
+        return _parse(durable.read_at(self._descriptor, length, start))
+
     def keep_runs_of(self, labels: Collection[str]) -> None:
         """Forget the runs of other estimators."""
+        self.damaged += self._parts.keep_runs_of(frozenset(labels))
         for key in list(self._places):
             found = self[key].get("estimators")
             if found is not None and found.keys() != set(labels):
@@ -128,7 +171,7 @@ class Journal:
                 self.damaged += 1
 
     def append(self, row: Mapping[str, Any]) -> None:
-        """Write a row with its ``key``, and wait until it is on the disk.
+        """Write a row with its ``key``; after a second or as a part it is on the disk.
 
         Raises
         ------
@@ -137,13 +180,36 @@ class Journal:
         """
         text = json.dumps(row, allow_nan=False, separators=(",", ":")).encode()
         line = sum_text(text) + b" " + text + b"\n"
+        late = time.monotonic() - self._synced > _UNSYNCED
         try:
-            durable.append(self._descriptor, line, self._end, self._path)
+            durable.append(self._descriptor, line, self._end, self._path, sync=late)
+            self._synced = time.monotonic() if late else self._synced
+            self._note(row, len(line))
+            self._end += len(line)
+            if len(self._places) >= parts.ROWS:
+                self._close_part()
         except OSError as error:
             why = f"{error.strerror}; what is finished is kept, --resume continues"
             raise OSError(error.errno, why, str(self._path)) from error
-        self._places[str(row["key"])] = (self._end, len(line))
-        self._end += len(line)
+
+    def _note(self, row: Mapping[str, Any], length: int) -> None:
+        """Note the place of the row of a line."""
+        key = str(row["key"])
+        self._places[key] = (self._end, length)
+        (self._failed.add if "error" in row else self._failed.discard)(key)
+
+    def _close_part(self) -> None:
+        """Write the runs of the lines as parts, and begin the lines anew."""
+        rows = [row for key in self._places if (row := self._read(key)) is not None]
+        for begin in range(0, len(rows), parts.ROWS):
+            self._parts.write(
+                rows[begin : begin + parts.ROWS], lambda name: results.add_to_mark(self._path.parent, name)
+            )
+        self._begin_anew()
+
+    def _begin_anew(self) -> None:
+        self._places, self._failed, self._end = {}, set(), 0
+        os.ftruncate(self._descriptor, 0)
 
 
 def sum_text(text: bytes) -> bytes:
@@ -158,7 +224,12 @@ def _parse(line: bytes) -> dict[str, Any] | None:
         return None
     try:
         row = json.loads(text)
-        (_LostRow if "error" in row else _Finished).model_validate(row)
+        _check(row)
     except (ValueError, TypeError, RecursionError):
         return None
     return dict(row)
+
+
+def _check(row: dict[str, Any]) -> None:
+    """Raise ValueError for a row that no run writes."""
+    (_LostRow if "error" in row else _Finished).model_validate(row)

@@ -14,10 +14,13 @@ from dataclasses import asdict, dataclass, replace
 from functools import cache, cached_property
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Any, overload
+
+import numpy as np
 
 from bench import pipeline
 from bench.core.files.places import PACKAGE
+from bench.core.mathematics.arrays import IntArray
 from bench.core.records.flight_specs import FlightSpec
 from bench.core.records.specs import DEFAULT_GUARD, EstimatorChoice, Guard, Profile
 from bench.core.words.exceptions import ConfigError
@@ -90,13 +93,45 @@ class PlannedRun:
 
 
 @dataclass(frozen=True)
+class EveryRun(Sequence[PlannedRun]):
+    """The same runs of every cell; a million of them need no memory."""
+
+    cells: int
+    runs: int  # of each cell, from 0 on
+
+    def __len__(self) -> int:
+        return self.cells * self.runs
+
+    @overload
+    def __getitem__(self, number: int) -> PlannedRun: ...
+
+    @overload
+    def __getitem__(self, number: slice) -> Sequence[PlannedRun]: ...
+
+    def __getitem__(self, number: int | slice) -> PlannedRun | Sequence[PlannedRun]:
+        found = range(len(self))[number]
+        if isinstance(found, range):
+            return [PlannedRun(*divmod(k, self.runs)) for k in found]
+        return PlannedRun(*divmod(found, self.runs))
+
+
+@dataclass(frozen=True)
 class Plan:
     """The conditions of a campaign, their flights and their runs, in the order of the tables."""
 
     name: str
     conditions: tuple[Condition, ...]
     cells: tuple[Cell, ...]
-    runs: tuple[PlannedRun, ...]
+    runs: Sequence[PlannedRun]  # the runs of a cell are neighbors
+
+    def number_runs(self) -> dict[int, IntArray]:
+        """Return the numbers of the runs of each cell."""
+        if isinstance(self.runs, EveryRun):
+            return {k: np.arange(self.runs.runs) for k in range(self.runs.cells)}
+        found: dict[int, list[int]] = {}
+        for one in self.runs:
+            found.setdefault(one.cell, []).append(one.run)
+        return {cell: np.array(runs, np.int64) for cell, runs in found.items()}
 
     def run_key(self, planned: PlannedRun) -> str:
         """Return the key of a run in the journal."""
@@ -169,8 +204,7 @@ def plan_campaign(
             if not isinstance(first.flight, FlightSpec) or first.flight.severity == 0:
                 raise ConfigError(f"{name}: has no turbulence, so all its flights are the same")
             cells.append(_make_cell(number, name, another, uses, given, allow_code))
-    planned = tuple(PlannedRun(k, run) for k in range(len(cells)) for run in range(spec.runs))
-    return Plan(spec.name, tuple(conditions), tuple(cells), planned)
+    return Plan(spec.name, tuple(conditions), tuple(cells), EveryRun(len(cells), spec.runs))
 
 
 def _make_cell(

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import bisect
 import contextlib
 import itertools
 import time
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import asdict
@@ -15,6 +17,7 @@ from bench import pipeline
 from bench.core.files import durable
 from bench.core.files.scratch import make_scratch
 from bench.core.files.spawned import Printed
+from bench.core.mathematics.arrays import IntArray
 from bench.core.records.specs import DEFAULT_GUARD, Guard
 from bench.core.words.exceptions import ConfigError, FlightError
 from bench.core.words.stages import Progress, ignore
@@ -26,8 +29,8 @@ from bench.experiments.campaigns.campaign_tables import (
     write_epochs,
     write_runs,
 )
-from bench.experiments.campaigns.groups import gather
-from bench.experiments.campaigns.journal import NAME, Journal
+from bench.experiments.campaigns.groups import MOST_EXACT, gather
+from bench.experiments.campaigns.journal import NAME, Journal, list_files
 from bench.experiments.campaigns.outcome import (
     Campaign,
     CampaignStage,
@@ -45,6 +48,8 @@ from bench.io.config.library import name_profile
 
 PRINTED = "printed.txt"
 """File of a campaign with what filters of others have printed."""
+
+_FILES = RUNS, EPOCHS, PRINTED, results.CAMPAIGN_RESULT, results.REPORT, results.RECORDING
 
 WAVE = 50  # flights before their runs: all fit into the cache of truth
 
@@ -201,7 +206,15 @@ def run_campaign(
             if folder is None
             else results.keep_folder(
                 folder,
-                (NAME, RUNS, EPOCHS, PRINTED, results.CAMPAIGN_RESULT, results.REPORT, results.RECORDING),
+                (
+                    *list_files(folder),
+                    RUNS,
+                    EPOCHS,
+                    PRINTED,
+                    results.CAMPAIGN_RESULT,
+                    results.REPORT,
+                    results.RECORDING,
+                ),
                 results.CAMPAIGN,
                 force=force,
                 resume=resume,
@@ -249,41 +262,67 @@ def choose_pool(
 
 def _work(plan: Plan, journal: Journal, pool: Pool, printed: Printed, progress: Progress) -> None:
     """Execute the runs that are missing in the journal; store each finished run and printed output."""
-    todo: dict[int, list[PlannedRun]] = {}
-    for planned in plan.runs:
-        key = plan.run_key(planned)
-        if key not in journal or "error" in journal[key]:
-            todo.setdefault(planned.cell, []).append(planned)
+    planned = plan.number_runs()
+    missing = journal.find_missing((plan.cells[k].key, runs) for k, runs in planned.items())
+    todo = {k: runs for k, runs in zip(planned, missing, strict=True) if len(runs)}
     for cell in {plan.cells[k].condition: plan.cells[k] for k in todo}.values():
         pipeline.build_estimators(cell.profile)
     known = len(plan.runs) - sum(map(len, todo.values()))
     counter = RunCounter(plan.name, len(plan.runs), known, progress)
     lengths: dict[str, float] = {}
+    sizes = Counter[int]()
+    for k, runs in planned.items():
+        sizes[plan.cells[k].condition] += len(runs)
     numbers, warm = list(todo), set[tuple[str, ...]]()
     for begin in range(0, len(numbers), WAVE):
         wave = [plan.cells[k] for k in numbers[begin : begin + WAVE]]
         firsts = [next(c for c in plan.cells if c.condition == cell.condition) for cell in wave]
         _fly([*firsts, *wave], lengths, pool)
-        tasks, first, commands = list[RunTask](), list[int](), list[str]()
+        tasks, first = Tasks(), list[int]()
         for cell, number, its_first in zip(wave, numbers[begin : begin + WAVE], firsts, strict=True):
             uses = tuple(choice.use for choice in cell.profile.estimators)
             if uses not in warm:  # its kernels are compiled once, not by every worker
                 first.append(len(tasks))
                 warm.add(uses)
-            step = choose_step(lengths[its_first.truth_key], cell.profile.answer_rate)
-            tasks += [
-                RunTask(plan.run_key(one), cell.truth_key, cell.profile, one.run, step)
-                for one in todo[number]
-            ]
-            commands += [cell.repeat(one.run) for one in todo[number]]
+            many = sizes[cell.condition] > MOST_EXACT
+            step = choose_step(lengths[its_first.truth_key], cell.profile.answer_rate, many=many)
+            tasks.add(cell, todo[number], step, many=many)
         for k, found in compute(measure, tasks, pool, first):
+            task = tasks[k]
             row: dict[str, Any] = (
-                {"key": tasks[k].key, "error": found.reason} if isinstance(found, Lost) else dict(found)
+                {"key": task.key, "error": found.reason} if isinstance(found, Lost) else dict(found)
             )
             for label, text in row.pop("printed", {}).items():
-                printed.add(f"--- {label}: {commands[k]}\n{text.rstrip()}\n".encode())
+                command = tasks.find_cell(k).repeat(task.run)
+                printed.add(f"--- {label}: {command}\n{text.rstrip()}\n".encode())
             journal.append(row)
-            counter.count(lengths[tasks[k].truth_key], failed="error" in row)
+            counter.count(lengths[task.truth_key], failed="error" in row)
+
+
+class Tasks(Sequence[RunTask]):
+    """The tasks of some cells, each made when it is asked for."""
+
+    def __init__(self) -> None:
+        self._cells: list[tuple[Cell, IntArray, float, bool]] = []
+        self._ends: list[int] = []
+
+    def add(self, cell: Cell, runs: IntArray, step: float, *, many: bool) -> None:
+        """Add the runs of a cell."""
+        self._ends.append(len(self) + len(runs))
+        self._cells.append((cell, runs, step, many))
+
+    def __len__(self) -> int:
+        return self._ends[-1] if self._ends else 0
+
+    def find_cell(self, number: int) -> Cell:
+        """Return the cell of a task."""
+        return self._cells[bisect.bisect_right(self._ends, number)][0]
+
+    def __getitem__(self, number: Any) -> Any:
+        at = bisect.bisect_right(self._ends, number)
+        cell, runs, step, many = self._cells[at]
+        run = int(runs[number - self._ends[at]])
+        return RunTask(f"{cell.key}-{run}", cell.truth_key, cell.profile, run, step, many)
 
 
 def _fly(cells: Sequence[Cell], lengths: dict[str, float], pool: Pool) -> None:
