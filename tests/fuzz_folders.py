@@ -22,6 +22,7 @@ from bench.experiments.baselines import checking
 from bench.experiments.baselines.baseline_file import read_baseline
 from bench.experiments.baselines.checking import record_baselines
 from bench.experiments.baselines.comparing import compare
+from bench.experiments.campaigns import parts
 from bench.experiments.campaigns.journal import NAME, sum_text
 from bench.experiments.campaigns.pools import SerialExecutor
 from bench.experiments.card.card_comparison import compare_cards, list_differences
@@ -150,6 +151,17 @@ def make_journal(folder: Path) -> Made:
     return [out / NAME], read, edit
 
 
+def make_part(folder: Path) -> Made:
+    """A part of the journal of a campaign that is gone on with."""
+    size, parts.ROWS = parts.ROWS, 2
+    try:
+        (line,), read, _ = make_journal(folder)
+    finally:
+        parts.ROWS = size
+    (part,) = parts.list_parts(line.parent)
+    return [line.with_name(part)], read, edit
+
+
 def make_cards(folder: Path) -> Made:
     """A card, shown and compared."""
     for k in (1, 2):
@@ -210,6 +222,7 @@ FOLDERS: dict[str, Callable[[Path], Made]] = {
     "views": make_views,
     "campaign": make_campaign,
     "journal": make_journal,
+    "part": make_part,
     "card": make_cards,
     "baseline": make_baseline,
     "study": make_study,

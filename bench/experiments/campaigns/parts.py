@@ -178,7 +178,8 @@ def _is_plain(column: pa.ChunkedArray) -> bool:
 
 
 def _encode(values: Any) -> str | None:
-    return None if values is None else b64encode(np.asarray(values, "<f4").tobytes()).decode()
+    with np.errstate(all="ignore"):
+        return None if values is None else b64encode(np.asarray(values, "<f4").tobytes()).decode()
 
 
 def _open(path: Path) -> pq.ParquetFile:
@@ -228,6 +229,8 @@ class Parts:
         with _open(self._folder / name) as file:
             facts = json.loads(file.schema_arrow.metadata[b"journal"])
             table = file.read(list(_INDEX))
+        if [str(one.type) for one in table.schema] != ["string", "int64", "int32"]:
+            raise TypeError("has no keys of runs")
         names = [[tuple(map(str, facts["columns"][k])) for k in shape] for shape in facts["shapes"]]
         failed = np.array([("error",) in shape for shape in names], np.bool_)
         labels = [
