@@ -20,6 +20,7 @@ from bench.experiments.campaigns.journal import NAME, Journal
 from bench.experiments.campaigns.plan import EveryRun, Plan, PlannedRun
 from bench.experiments.campaigns.pools import SerialExecutor
 from bench.experiments.campaigns.worker import CHANNELS, choose_step, encode
+from tests.campaigns import million_rows
 from tests.campaigns.test_campaign import PROFILE
 from tests.campaigns.test_parts import make_row
 
@@ -218,3 +219,11 @@ def test_after_two_kills_with_parts_resume_gives_the_same_tables(tmp_path, monke
     assert whole.epochs.num_rows == 40
     bench.campaign("short.toml", 2, out="killed", force=True, **options)
     assert parts.list_parts(Path("killed")) == []
+
+
+@pytest.mark.long
+def test_a_million_finished_runs_are_gone_on_with_in_flat_memory():
+    """At most 3 kB a run on the disk, and 0.1 kB in memory; the seconds are in its output."""
+    million, fewer = million_rows.main(1_000_000)
+    assert million["bytes_a_run"] < 3000.0
+    assert million["MB"] - fewer["MB"] < 90.0

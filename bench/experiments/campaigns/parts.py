@@ -66,8 +66,12 @@ def write_part(path: Path, rows: Sequence[Row]) -> None:
     OSError
         If the file cannot be written.
     """
+    write_table(path, make_table(rows))
+
+
+def make_table(rows: Sequence[Row]) -> pa.Table:
+    """Return rows with their ``key`` as the table of a part."""
     import pyarrow as pa
-    import pyarrow.parquet as pq
 
     shapes: dict[tuple[tuple[str, ...], ...], int] = {}
     columns: dict[tuple[str, ...], list[Any]] = {}
@@ -78,33 +82,35 @@ def write_part(path: Path, rows: Sequence[Row]) -> None:
         numbers.append(shapes.setdefault(tuple(leaves), len(shapes)))
         for name, value in leaves.items():
             columns.setdefault(name, [None] * len(rows))[k] = value
-    names = {name: "/".join(word.replace("~", "~0").replace("/", "~1") for word in name) for name in columns}
-    fields, arrays = [], []
+    arrays = [pa.array(cells, pa.string()), pa.array(runs, pa.int64()), pa.array(numbers, pa.int32())]
+    fields = [pa.field(name, array.type) for name, array in zip(_INDEX, arrays, strict=True)]
     for name, values in columns.items():
         array, kind = _to_arrow(name, values)
-        fields.append(pa.field(names[name], array.type, metadata={"kind": kind} if kind else None))
+        words = "/".join(word.replace("~", "~0").replace("/", "~1") for word in name)
+        fields.append(pa.field(words, array.type, metadata={"kind": kind} if kind else None))
         arrays.append(array)
-    index: list[Any] = [pa.array(cells), pa.array(runs, pa.int64()), pa.array(numbers, pa.int32())]
-    head = [pa.field(name, array.type) for name, array in zip(_INDEX, index, strict=True)]
     order = {name: k for k, name in enumerate(columns)}
     facts = {"columns": list(columns), "shapes": [[order[name] for name in shape] for shape in shapes]}
-    schema = pa.schema([*head, *fields], metadata={"journal": json.dumps(facts, separators=(",", ":"))})
-    single = [one.name + _leaf(one.type) for one in fields if "float" in _kind(one) or "double" in _kind(one)]
-    words = [one.name for one in schema if _kind(one) in ("string", "bool")]
+    metadata = {"journal": json.dumps(facts, separators=(",", ":"))}
+    return pa.Table.from_arrays(arrays, schema=pa.schema(fields, metadata=metadata))
+
+
+def write_table(path: Path, table: pa.Table) -> None:
+    """Write the table of a part, with checksums; errors as for `write_part`."""
+    import pyarrow.parquet as pq
+
+    kinds = {field.name: str(field.type) for field in table.schema}
+    real = [name + _leaf(kind) for name, kind in kinds.items() if "float" in kind or "double" in kind]
+    words = [name for name, kind in kinds.items() if kind in ("string", "bool")]
     with durable.open_binary(path) as file:
         pq.write_table(
-            pa.Table.from_arrays([*index, *arrays], schema=schema), file, compression="zstd",
-            use_dictionary=words, use_byte_stream_split=single, write_statistics=False,
-            write_page_checksum=True,
+            table, file, compression="zstd", use_dictionary=words, use_byte_stream_split=real,
+            write_statistics=False, write_page_checksum=True,
         )  # fmt: skip
 
 
-def _kind(field: pa.Field) -> str:
-    return str(field.type)
-
-
-def _leaf(kind: pa.DataType) -> str:
-    return ".list.element" if str(kind).startswith("list") else ""
+def _leaf(kind: str) -> str:
+    return ".list.element" if kind.startswith("list") else ""
 
 
 def _flatten(row: Mapping[str, Any], above: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
