@@ -187,15 +187,33 @@ import os, signal, sys, bench
 from bench.experiments.campaigns import groups, parts, running
 from bench.experiments.campaigns.pools import SerialExecutor
 
+runs, at, parts.ROWS, groups.MOST_EXACT = map(int, sys.argv[1:])
+running.MOST_EXACT = groups.MOST_EXACT
+
 def kill(progress):
-    if progress.done == int(sys.argv[1]):
+    if progress.done == at:
         os.kill(os.getpid(), signal.SIGKILL)
 
-parts.ROWS = 5
-groups.MOST_EXACT = running.MOST_EXACT = 4
-bench.campaign("short.toml", 14, estimators=["loose-15"], out="killed", executor=SerialExecutor(),
+bench.campaign("short.toml", runs, estimators=["loose-15"], out="killed", executor=SerialExecutor(),
                resume=True, progress=kill)
 """
+
+
+def kill_twice(runs: int, size: int, most: int) -> bench.Campaign:
+    """Kill a campaign in its first part and later, go on with it, and compare it with one that was not."""
+    options: dict[str, Any] = {"estimators": ["loose-15"], "executor": SerialExecutor()}
+    for at in (size + size // 2, 6 * runs // 7):
+        words = map(str, (runs, at, size, most))
+        done = subprocess.run([sys.executable, "-c", KILLED, *words], check=False)
+        assert done.returncode == -signal.SIGKILL
+        assert len(parts.list_parts(Path("killed"))) == at // size
+    seen: list[Any] = []
+    bench.campaign("short.toml", runs, out="killed", resume=True, progress=seen.append, **options)
+    assert seen[0].done == at
+    whole = bench.campaign("short.toml", runs, out="whole", **options)
+    for name in (RUNS, EPOCHS):
+        assert (Path("whole") / name).read_bytes() == (Path("killed") / name).read_bytes()
+    return whole
 
 
 def test_after_two_kills_with_parts_resume_gives_the_same_tables(tmp_path, monkeypatch):
@@ -205,20 +223,18 @@ def test_after_two_kills_with_parts_resume_gives_the_same_tables(tmp_path, monke
     monkeypatch.setattr(groups, "MOST_EXACT", 4)
     monkeypatch.setattr(running, "MOST_EXACT", 4)
     Path("short.toml").write_text(PROFILE.replace("duration_s = 20.0", "duration_s = 12.0"))
+    assert kill_twice(14, 5, 4).epochs.num_rows == 40
     options: dict[str, Any] = {"estimators": ["loose-15"], "executor": SerialExecutor()}
-    for at, count in ((7, 1), (12, 2)):
-        done = subprocess.run([sys.executable, "-c", KILLED, str(at)], check=False)
-        assert done.returncode == -signal.SIGKILL
-        assert len(parts.list_parts(Path("killed"))) == count
-    seen: list[Any] = []
-    bench.campaign("short.toml", 14, out="killed", resume=True, progress=seen.append, **options)
-    assert seen[0].done == 12
-    whole = bench.campaign("short.toml", 14, out="whole", **options)
-    for name in (RUNS, EPOCHS):
-        assert (Path("whole") / name).read_bytes() == (Path("killed") / name).read_bytes()
-    assert whole.epochs.num_rows == 40
     bench.campaign("short.toml", 2, out="killed", force=True, **options)
     assert parts.list_parts(Path("killed")) == []
+
+
+@pytest.mark.long
+def test_after_two_kills_many_runs_of_a_minute_have_the_same_tables(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(parts, "ROWS", 1000)
+    Path("short.toml").write_text(million_rows.MINUTE)
+    assert kill_twice(20_000, parts.ROWS, groups.MOST_EXACT).runs.num_rows == 20_000
 
 
 @pytest.mark.long

@@ -538,6 +538,23 @@ def test_columns_of_a_table_have_one_type():
     assert values == {"condition": 3, "profile": "p", "a": 1.5, "b": True, "c": "[1, 2]"}
 
 
+def test_blocks_of_a_table_are_joined_as_if_they_were_one():
+    """Integers become numbers and numbers become texts, if any block has them; a column may begin late."""
+    rows: list[dict[str, Any]] = [
+        {"a": 1, "b": None, "c": True},
+        {"a": 2, "d": 1},
+        {"a": 2.5, "d": "x"},
+        {"c": False},
+    ]
+    one, three = (
+        campaign_tables._join([campaign_tables._stack(rows[k : k + n]) for k in range(0, 4, n)])
+        for n in (4, 1)
+    )
+    assert list(one) == list(three) == ["a", "b", "c", "d"]
+    for name, column in one.items():
+        assert (three[name].type, three[name].to_pylist()) == (column.type, column.to_pylist())
+
+
 def test_bins_are_as_wide_as_they_say():
     """2048 of equal width of asinh, from -1e8 to 1e8: 2.5 % of a value, or 2.5e-5 below 1e-3."""
     edges = 1e-3 * np.sinh(np.linspace(-np.arcsinh(1e11), np.arcsinh(1e11), 2049))

@@ -21,6 +21,8 @@ from bench.io import results
 RUNS, EPOCHS = "runs.parquet", "epochs.parquet"
 """Names of the tables."""
 
+_BLOCK = 10_000  # rows of a table that are not yet columns
+
 
 def write_runs(path: Path, plan: Plan, done: Done) -> None:
     """Write the table of runs from the rows of the journal.
@@ -28,8 +30,7 @@ def write_runs(path: Path, plan: Plan, done: Done) -> None:
     A run that failed as a whole has a row for each filter, with the reason and without metrics.
     """
     heads = [describe_condition(number, one) for number, one in enumerate(plan.conditions)]
-    columns: dict[str, list[Any]] = {}
-    count = 0
+    blocks, rows = list[dict[str, Any]](), list[dict[str, Any]]()
     for planned, row in done:
         cell = plan.cells[planned.cell]
         for choice in cell.profile.estimators:
@@ -42,14 +43,42 @@ def write_runs(path: Path, plan: Plan, done: Done) -> None:
                 "command": cell.repeat(planned.run),
                 "failed": False,
             }
-            values = head | (row["estimators"][choice.label]["metrics"] if "estimators" in row else lost)
-            for name in dict.fromkeys([*columns, *values]):
-                columns.setdefault(name, [None] * count).append(values.get(name))
-            count += 1
-    columns = {name: unite(column) for name, column in columns.items()}
+            rows.append(head | (row["estimators"][choice.label]["metrics"] if "estimators" in row else lost))
+        if len(rows) >= _BLOCK:
+            blocks.append(_stack(rows))
+            rows = []
+    blocks.append(_stack(rows))
+    columns = _join(blocks)
     known = {name: find_metric(name) for name in columns}
     units = {name: metric.unit for name, metric in known.items() if metric is not None}
     results.write_table(path, columns, _find_units(plan) | units)
+
+
+def _stack(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Return rows as Arrow columns."""
+    import pyarrow as pa
+
+    names = dict.fromkeys(name for row in rows for name in row)
+    return {name: pa.array(unite([row.get(name) for row in rows])) for name in names}
+
+
+def _join(blocks: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Return the columns of successive rows, each of the type that all its values together have."""
+    import pyarrow as pa
+
+    if len(blocks) == 1:
+        return dict(blocks[0])
+    sizes = [len(next(iter(block.values()), [])) for block in blocks]
+    columns: dict[str, Any] = {}
+    for name in dict.fromkeys(name for block in blocks for name in block):
+        found = [block.get(name, pa.nulls(size)) for block, size in zip(blocks, sizes, strict=True)]
+        kinds = {str(one.type) for one in found} - {"null"}
+        if len(kinds) > 1 and "string" in kinds:
+            found = [pa.array(unite([*one.to_pylist(), ""])[:-1], pa.string()) for one in found]
+        kind = next((one.type for one in found if str(one.type) == "double"), None)
+        kind = kind or next((one.type for one in found if str(one.type) != "null"), pa.null())
+        columns[name] = pa.chunked_array([one.cast(kind) for one in found])
+    return columns
 
 
 def write_epochs(path: Path, plan: Plan, parts: Sequence[Mapping[str, Any]]) -> None:

@@ -6,6 +6,7 @@ import itertools
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -26,12 +27,51 @@ MOST_KEPT = MOST_EXACT * MOST_INSTANTS
 PERCENTILES = (5, 50, 95)
 """Percentiles over the runs, at each time."""
 
+_WORDS = "converged", "reason"
 _SOME = 8  # runs that show the epochs of a group
-_POOLED = ("converged", "reason", "pos_rmse", "vel_rmse", "tilt_rmse", "heading_rmse", "nees_", "nis_mean",
-           "updates_")  # begin of the metrics over which the statistics of a group are  # fmt: skip
+_POOLED = (
+    "pos_rmse",
+    "vel_rmse",
+    "tilt_rmse",
+    "heading_rmse",
+    "nees_ratio",
+    "nees_inside",
+    "nis_mean",
+    "updates_",
+)
+"""Begin of the numbers over which the statistics of a group are."""
 
 Done = Iterable[tuple[PlannedRun, Mapping[str, Any]]]
 """Finished runs with their rows of the journal."""
+
+
+class PooledMetrics(Mapping[str, Any]):
+    """The metrics of one of very many runs over which the statistics are: half a kB."""
+
+    __slots__ = ("_names", "_values", "_words")
+
+    def __init__(self, metrics: Mapping[str, Any]) -> None:
+        names = tuple(name for name in metrics if name.startswith(_POOLED))
+        self._names = _number_names(names)
+        self._values = np.array([metrics[name] for name in names], np.float64)
+        self._words = metrics["converged"], metrics.get("reason")
+
+    def __getitem__(self, name: str) -> Any:
+        if name in _WORDS:
+            return self._words[_WORDS.index(name)]
+        value = float(self._values[self._names[name]])
+        return None if np.isnan(value) else value
+
+    def __len__(self) -> int:
+        return len(_WORDS) + len(self._names)
+
+    def __iter__(self) -> Iterator[str]:
+        yield from (*_WORDS, *self._names)
+
+
+@cache
+def _number_names(names: tuple[str, ...]) -> dict[str, int]:
+    return {name: k for k, name in enumerate(names)}
 
 
 @dataclass(frozen=True)
@@ -81,25 +121,24 @@ def gather_condition(
     step, size = _find_grid(keys, journal)
     stride = max(1, -(-len(keys) * size // MOST_KEPT))
     binned = {label: BinnedRuns(MOST_INSTANTS, len(CHANNELS)) for label in labels if stride > 1}
-    rows = {label: list[dict[str, Any]]() for label in labels}
+    rows = {label: list[tuple[Mapping[str, Any], int, Mapping[str, int]]]() for label in labels}
+    shared: dict[tuple[tuple[str, int], ...], Mapping[str, int]] = {}
     kept = {label: list[FloatArray]() for label in labels}
     for key in keys:
         whole = journal[key]
         for label, row in whole.get("estimators", {}).items():
             instants = _place(decode(row["instants"]), whole["step"], step)
             kept[label].append(instants[stride - 1 :: stride])
-            rows[label].append({name: row[name] for name in ("metrics", "states", "nis_dof")})
-            if len(keys) > MOST_EXACT:
-                rows[label][-1]["metrics"] = {
-                    name: value for name, value in row["metrics"].items() if name.startswith(_POOLED)
-                }
+            metrics = row["metrics"] if len(keys) <= MOST_EXACT else PooledMetrics(row["metrics"])
+            dof = shared.setdefault(tuple(row["nis_dof"].items()), row["nis_dof"])
+            rows[label].append((metrics, row["states"], dof))
             if stride > 1 and row["metrics"]["converged"]:
                 binned[label].add(instants)
     for label in labels if rows[labels[0]] else ():
-        metrics = tuple(row["metrics"] for row in rows[label])
+        every, states, dofs = zip(*rows[label], strict=True)
         values = _stack(kept[label])
         if stride == 1:
-            mean, percentiles = describe(values, np.array([one["converged"] for one in metrics], np.bool_))
+            mean, percentiles = describe(values, np.array([one["converged"] for one in every], np.bool_))
         else:
             mean = binned[label].mean()
             percentiles = np.stack([binned[label].percentile(p) for p in PERCENTILES])
@@ -109,9 +148,9 @@ def gather_condition(
             label=label,
             seeds=tuple(cell.profile.seed for cell in cells),
             evaluation=cells[0].profile.evaluation,
-            metrics=metrics,
-            states=max(row["states"] for row in rows[label]),
-            nis_dof=tuple(row["nis_dof"] for row in rows[label]),
+            metrics=every,
+            states=max(states),
+            nis_dof=dofs,
             t=np.asarray(step * np.arange(1, len(mean) + 1)),
             mean=mean,
             percentiles=percentiles,

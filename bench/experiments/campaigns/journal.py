@@ -51,8 +51,8 @@ def _sound_metrics(metrics: dict[str, Any]) -> dict[str, Any]:
     wrong = [
         name
         for name, value in metrics.items()
-        if find_metric(name) is not None
-        and not (value is None or (isinstance(value, int | float) and abs(value) < _MOST))
+        if not (value is None or (isinstance(value, int | float) and abs(value) < _MOST))
+        and find_metric(name) is not None
     ]
     if wrong or not isinstance(metrics.get("converged"), bool):
         raise ValueError("are none")

@@ -221,7 +221,7 @@ def _get_field(table: pa.Table, one: Column) -> Any:
 
 
 def write_table(path: Path, columns: Mapping[str, Any], units: Mapping[str, str], **facts: Any) -> None:
-    """Write named columns (N,), of numbers or of lists with None for missing values, atomically.
+    """Write named columns (N,), of numbers, of lists with None for missing values or of Arrow, atomically.
 
     Parameters
     ----------
@@ -233,7 +233,10 @@ def write_table(path: Path, columns: Mapping[str, Any], units: Mapping[str, str]
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    arrays = [pa.array(column) for column in columns.values()]
+    arrays = [
+        column if isinstance(column, pa.Array | pa.ChunkedArray) else pa.array(column)
+        for column in columns.values()
+    ]
     fields = [
         pa.field(name, array.type, metadata={"unit": units[name]} if name in units else None)
         for name, array in zip(columns, arrays, strict=True)
