@@ -19,7 +19,8 @@ from bench.core.records.data import Events, no_events
 from bench.core.records.findings import series
 from bench.core.records.specs import EvaluationWindow
 from bench.core.words.exceptions import ConfigError
-from bench.experiments.studies import rnp, stanford
+from bench.evaluation.ensembles import rare_events
+from bench.experiments.studies import rare_errors, rnp, stanford
 from bench.experiments.studies.watched_flights import WatchedFlight
 from bench.io.config import read_profile
 from bench.simulation.flight.guidance.off_track import measure_off_track
@@ -497,3 +498,37 @@ def test_the_parts_of_the_stanford_diagram_by_hand():
     assert found["runs_low_percent"][2] == pytest.approx(100.0 * stats.beta.ppf(0.025, 1, 2))
     assert found["runs_high_percent"][2] == pytest.approx(100.0 * stats.beta.ppf(0.975, 2, 1))
     assert found["runs_high_percent"][0] == 100.0
+
+
+def test_a_rare_error_has_a_rate_without_flying_as_many_hours(flight, monkeypatch):
+    """The horizontal limit is exceeded by about a quarter of the runs, the vertical one by all."""
+    monkeypatch.setattr(rare_events, "REPETITIONS", 2)
+    options = {"profiles": (flight,), "estimator": "loose-15", "runs": 2, "lines": ("integrity",)}
+    plain = [rnp.measure_largest(rnp.RnpRun(rnp.Options(**options), k)) for k in range(12)]
+    limit = float(np.quantile([one[0] for one in plain], 0.75))
+    found = bench.study("rnp", **options, jobs=1, rare_runs=20, alert_limit_m=limit, vertical_limit_m=1e-3)
+    columns = found.tables["rnp"].columns
+    rows = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
+    horizontal, vertical = (row for row in rows if "beyond the alert limit" in row["figure"])
+    per_hour = 3600.0 / 56.0  # of one event in each flight
+    assert 0.05 * per_hour < horizontal["value"] < 0.6 * per_hour
+    assert vertical["value"] == pytest.approx(per_hour, rel=0.05)
+    assert (horizontal["word"], horizontal["required"]) == ("undecided", "<= 1e-05")
+    assert sum("subset simulation of" in line for line in found.verdicts) == 2
+
+
+def test_a_flight_that_a_filter_guides_is_not_moved():
+    with pytest.raises(ConfigError, match="--rare-runs: a filter guides this flight"):
+        bench.study("rnp", profiles=("waypoints-closed",), estimator="loose-15", rare_runs=20, jobs=1)
+
+
+@pytest.mark.parametrize(
+    ("errors", "largest"),
+    [
+        ([[3.0, -4.0, 1.0], [0.0, 0.0, -2.0]], [5.0, 2.0]),
+        ([[0.0, np.nan, 1.0]], [np.inf, 1.0]),
+        ([], [np.inf] * 2),
+    ],
+)
+def test_the_largest_error_of_a_run_is_infinite_without_a_solution(errors, largest):
+    assert rare_errors.find_largest(np.reshape(errors, (-1, 3))).tolist() == largest

@@ -189,7 +189,7 @@ def _encode(values: Any) -> str | None:
 
 
 def _open(path: Path) -> pq.ParquetFile:
-    """Open a part whose size is that of one; ValueError for another file."""
+    """Open a part; ValueError if it is larger than a part can be."""
     import pyarrow.parquet as pq
 
     file = pq.ParquetFile(path, page_checksum_verification=True)

@@ -55,6 +55,7 @@ from bench.evaluation.requirements.required_performance import (
     judge_share,
 )
 from bench.evaluation.requirements.share_test import MET, MISSED, UNDECIDED, ShareTest
+from bench.experiments.studies.rare_errors import LEAST, find_largest, find_rare_errors
 from bench.experiments.studies.stanford import PLANES, known_size, plot_stanford, tabulate_stanford
 from bench.experiments.studies.study import (
     FLOWN_BY,
@@ -116,6 +117,8 @@ class Options(UnitOptions):
     """flights, each with its own noise and turbulence"""
     hours: Positive | None = None
     """smallest number of flight hours, instead of --runs [h]"""
+    rare_runs: Annotated[int, Field(ge=LEAST)] | None = None
+    """runs of each level of a subset simulation of errors beyond the alert limits; 200 is a start"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,6 +143,8 @@ def run(options: Options, work: StudyWorkers) -> Findings:
 
 def _ask(options: Options, work: StudyWorkers) -> Findings:
     work.progress("flying", 0, 1)
+    if options.rare_runs and make_profile(options).guidance is not None:
+        raise ConfigError("study rnp: --rare-runs: a filter guides this flight; leave --rare-runs out")
     profile, truth, _ = load_flight(options, 0)
     instants = len(choose_rows(truth, profile))
     each = hours_flown((1, instants), _INTERVAL)
@@ -149,13 +154,23 @@ def _ask(options: Options, work: StudyWorkers) -> Findings:
     errors = {"NSE": _stack(watches, "across"), "FTE": _stack(watches, "off")}
     errors["TSE"] = errors["FTE"] - errors["NSE"]
     rows = list(_list_rows(errors, planes, options))
+    hours = hours_flown(errors["TSE"].shape, _INTERVAL)
+    told = list(_tell(errors, planes, options, rows, hours))
+    if options.rare_runs:
+
+        def measure(runs: Sequence[int]) -> FloatArray:
+            found = work.map("rare errors", measure_largest, [RnpRun(options, one) for one in runs])
+            return np.array(found)
+
+        for one in find_rare_errors(measure, [plane.limit for plane in planes], options.rare_runs, each):
+            rows.append({"line": "integrity"} | _row(one.title, one.judged, "1/h", one.required))
+            told.append(one.sentence)
     names = ("line", "figure", "value", "low", "high", "unit", "required", "word", "more_h")
     columns = {name: [row[name] for row in rows] for name in names}
-    hours = hours_flown(errors["TSE"].shape, _INTERVAL)
     title = f"{options.estimator} on {profile.name}, {flights} flights, {hours:.3g} h: bounds of 95 % each"
     words = [row["word"] for row in rows]
     return Findings(
-        verdicts=(*tell_crashes(watches), *_tell(errors, planes, options, rows, hours)),
+        verdicts=(*tell_crashes(watches), *told),
         tables=(FindingTable("rnp", title, columns, {"more_h": "h"}), tabulate_stanford(planes)),
         figures=tuple(plot_stanford(watches[0].t, planes)),
         runs=flights,
@@ -178,6 +193,14 @@ def _gather(watches: Sequence[WatchedFlight], options: Options) -> list[Watched]
         )
         for k, limit in enumerate(limits)
     ]
+
+
+def measure_largest(run: RnpRun) -> FloatArray:
+    """Return the largest horizontal and vertical error (2,) [m] of a run on the first flight."""
+    profile, truth, _ = load_flight(run.options, 0)
+    sensed = pipeline.sense(profile, truth, run.number)
+    solution = navigate(profile, sensed, truth.t[choose_rows(truth, profile)])
+    return find_largest(error_series(truth, solution).pos_n)
 
 
 def _stack(watches: Sequence[WatchedFlight], name: str) -> FloatArray:
@@ -395,7 +418,8 @@ def _tell(
         yield "No leg is along waypoints or to a runway, which a total system error would need."
     elif within is not None:
         total = by_figure["TSE across track, 95 %"]["value"]
-        flown, navigated = (_mean_square(errors[name]) for name in ("FTE", "NSE"))
+        finite = (errors[name][np.isfinite(errors[name])] for name in ("FTE", "NSE"))  # no crashed flight
+        flown, navigated = (float(np.mean(np.square(values))) for values in finite)
         share = flown / max(flown + navigated, 1e-12)
         yield (
             f"RNP {options.rnp_nm:g} ({options.rnp_nm * _NM:.0f} m): {within['word']}; across track, turns "
@@ -419,11 +443,6 @@ def _tell(
         )
     if options.estimator != "tight":
         yield "The levels hold while nothing is faulty; only tight allows for a faulty satellite."
-
-
-def _mean_square(values: FloatArray) -> float:
-    """Return the mean of the squares of the finite values, without flights that have crashed."""
-    return float(np.mean(np.square(values[np.isfinite(values)])))
 
 
 def _tell_more(row: dict[str, Any]) -> str:

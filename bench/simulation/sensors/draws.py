@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from bench.core.mathematics.arrays import FloatArray, IntArray
+from bench.core.mathematics.moved_runs import MovedRun
 from bench.core.mathematics.random_streams import stream
 from bench.core.mathematics.units import SAME_INSTANT
 from bench.simulation.sensors.processes import simulate_gauss_markov
@@ -54,7 +55,13 @@ class SensorDraws:
 
     def stream(self, name: str) -> np.random.Generator:
         """Return the random stream of an error, continued from the pieces before."""
-        return self.keep(name, lambda: stream(self._seed, self._run, self._prefix + name), "stream")
+        seed, whole = self._seed, self._prefix + name
+
+        def make(run: int) -> np.random.Generator:
+            return stream(seed, run, whole)
+
+        own = self._run
+        return self.keep(name, lambda: own.open(make) if isinstance(own, MovedRun) else make(own), "stream")
 
     def constant(self, name: str, *shape: int) -> Any:
         """Return standard normal numbers that are drawn only once; without a shape, a single number."""
