@@ -39,6 +39,7 @@ from bench.experiments.campaigns.worker import (
     shorten_numbers,
 )
 from bench.io import results
+from bench.io.results import row_parts
 from tests.campaigns.test_campaign import PROFILE
 
 MINUTE = PROFILE.replace("duration_s = 20.0", "duration_s = 60.0").replace("from_s = 5.0", "from_s = 15.0")
@@ -62,7 +63,7 @@ def write_journal(folder: Path, runs: int) -> int:
     with results.keep_folder(out, [NAME, "runs.parquet"], results.CAMPAIGN):
         pass
     first = out / "journal-00001.parquet"
-    parts.write_part(first, rows)
+    row_parts.write_part(first, rows)
     table = pq.read_table(first)
     size = first.stat().st_size
     for k in range(runs // parts.ROWS):
@@ -70,7 +71,7 @@ def write_journal(folder: Path, runs: int) -> int:
         numbers = pa.array(np.arange(k * parts.ROWS, (k + 1) * parts.ROWS))
         moved = table.set_column(1, table.schema.field(1), numbers)
         path = out / f"journal-{k + 1:05d}.parquet"
-        parts.write_table(path, moved.slice(0, parts.ROWS - 1) if last else moved)
+        row_parts.write_table(path, moved.slice(0, parts.ROWS - 1) if last else moved)
     assert abs(path.stat().st_size - size) < 0.1 * size
     mark = out / ".bench.json"
     named = json.loads(mark.read_text())

@@ -20,6 +20,7 @@ from bench.experiments.campaigns.journal import NAME, Journal
 from bench.experiments.campaigns.plan import EveryRun, Plan, PlannedRun
 from bench.experiments.campaigns.pools import SerialExecutor
 from bench.experiments.campaigns.worker import CHANNELS, choose_step, encode
+from bench.io.results import row_parts
 from tests.campaigns import million_rows
 from tests.campaigns.test_campaign import PROFILE
 from tests.campaigns.test_parts import make_row
@@ -142,10 +143,12 @@ def test_a_damaged_part_is_repeated_or_named(tmp_path):
 
 
 def test_a_part_of_a_stranger_with_a_row_that_no_run_writes_is_named(tmp_path):
-    parts.write_part(tmp_path / "journal-00001.parquet", [make_row("cell-0", metrics={"pos_rmse_h_m": "1"})])
+    row_parts.write_part(
+        tmp_path / "journal-00001.parquet", [make_row("cell-0", metrics={"pos_rmse_h_m": "1"})]
+    )
     with Journal(tmp_path / NAME) as journal, pytest.raises(ConfigError, match="damaged; remove it"):
         journal["cell-0"]
-    parts.write_part(tmp_path / "journal-00001.parquet", [make_row(f"cell-{k}") for k in range(4)])
+    row_parts.write_part(tmp_path / "journal-00001.parquet", [make_row(f"cell-{k}") for k in range(4)])
     with Journal(tmp_path / NAME) as journal:
         assert journal.damaged == 1  # larger than a part
 

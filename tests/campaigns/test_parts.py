@@ -50,6 +50,7 @@ from bench.experiments.campaigns.outcome import Campaign
 from bench.experiments.campaigns.plan import Condition
 from bench.experiments.campaigns.running import RunCounter
 from bench.experiments.campaigns.worker import CHANNELS, choose_step, decode, encode
+from bench.io.results import row_parts
 
 # --- batches and pools ------------------------------------------------------------------------------------
 
@@ -532,8 +533,8 @@ def test_the_band_of_nees_is_told_where_there_are_states_and_runs(states, conver
 
 
 def test_columns_of_a_table_have_one_type():
-    assert campaign_tables.unite([None, "a", 1]) == [None, "a", "1"]
-    assert campaign_tables.unite([None, 2, 1.5]) == [None, 2, 1.5]
+    assert row_parts.unite([None, "a", 1]) == [None, "a", "1"]
+    assert row_parts.unite([None, 2, 1.5]) == [None, 2, 1.5]
     values = campaign_tables.describe_condition(3, Condition("p", {"a": 1.5, "b": True, "c": [1, 2]}))
     assert values == {"condition": 3, "profile": "p", "a": 1.5, "b": True, "c": "[1, 2]"}
 
@@ -547,8 +548,7 @@ def test_blocks_of_a_table_are_joined_as_if_they_were_one():
         {"c": False},
     ]
     one, three = (
-        campaign_tables._join([campaign_tables._stack(rows[k : k + n]) for k in range(0, 4, n)])
-        for n in (4, 1)
+        row_parts.join_blocks([row_parts.stack_rows(rows[k : k + n]) for k in range(0, 4, n)]) for n in (4, 1)
     )
     assert list(one) == list(three) == ["a", "b", "c", "d"]
     for name, column in one.items():

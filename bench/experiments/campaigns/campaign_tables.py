@@ -17,6 +17,7 @@ from bench.experiments.campaigns.groups import PERCENTILES, Done, Group
 from bench.experiments.campaigns.plan import Condition, Plan
 from bench.experiments.campaigns.worker import CHANNELS
 from bench.io import results
+from bench.io.results.row_parts import join_blocks, stack_rows
 
 RUNS, EPOCHS = "runs.parquet", "epochs.parquet"
 """Names of the tables."""
@@ -45,40 +46,13 @@ def write_runs(path: Path, plan: Plan, done: Done) -> None:
             }
             rows.append(head | (row["estimators"][choice.label]["metrics"] if "estimators" in row else lost))
         if len(rows) >= _BLOCK:
-            blocks.append(_stack(rows))
+            blocks.append(stack_rows(rows))
             rows = []
-    blocks.append(_stack(rows))
-    columns = _join(blocks)
+    blocks.append(stack_rows(rows))
+    columns = join_blocks(blocks)
     known = {name: find_metric(name) for name in columns}
     units = {name: metric.unit for name, metric in known.items() if metric is not None}
     results.write_table(path, columns, _find_units(plan) | units)
-
-
-def _stack(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Return rows as Arrow columns."""
-    import pyarrow as pa
-
-    names = dict.fromkeys(name for row in rows for name in row)
-    return {name: pa.array(unite([row.get(name) for row in rows])) for name in names}
-
-
-def _join(blocks: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Return the columns of successive rows, each of the type that all its values together have."""
-    import pyarrow as pa
-
-    if len(blocks) == 1:
-        return dict(blocks[0])
-    sizes = [len(next(iter(block.values()), [])) for block in blocks]
-    columns: dict[str, Any] = {}
-    for name in dict.fromkeys(name for block in blocks for name in block):
-        found = [block.get(name, pa.nulls(size)) for block, size in zip(blocks, sizes, strict=True)]
-        kinds = {str(one.type) for one in found} - {"null"}
-        if len(kinds) > 1 and "string" in kinds:
-            found = [pa.array(unite([*one.to_pylist(), ""])[:-1], pa.string()) for one in found]
-        kind = next((one.type for one in found if str(one.type) == "double"), None)
-        kind = kind or next((one.type for one in found if str(one.type) != "null"), pa.null())
-        columns[name] = pa.chunked_array([one.cast(kind) for one in found])
-    return columns
 
 
 def write_epochs(path: Path, plan: Plan, parts: Sequence[Mapping[str, Any]]) -> None:
@@ -123,10 +97,3 @@ def _find_units(plan: Plan) -> dict[str, str]:
     """Return the units of the values that are varied."""
     keys = dict.fromkeys(key for condition in plan.conditions for key in condition.values)
     return {key: unit for key in keys if (unit := unit_of(key))}
-
-
-def unite(column: list[Any]) -> list[Any]:
-    """Return a column of one type; if it contains texts, numbers become texts."""
-    if any(isinstance(value, str) for value in column):
-        return [value if value is None or isinstance(value, str) else str(value) for value in column]
-    return column

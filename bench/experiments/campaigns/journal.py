@@ -25,6 +25,7 @@ from bench.evaluation.metrics.run_metrics import find_metric
 from bench.experiments.campaigns import parts
 from bench.experiments.campaigns.worker import CHANNELS
 from bench.io import results
+from bench.io.results.row_parts import split_key
 
 NAME = "journal.jsonl"
 """Name of the journal in the folder of a campaign; its parts are beside it."""
@@ -135,7 +136,7 @@ class Journal:
         """Return for each cell and the numbers of its runs those without a row, or that failed as a whole."""
         lines: dict[str, dict[int, bool]] = {}
         for key in self._places:
-            cell, run = parts.split_key(key)
+            cell, run = split_key(key)
             lines.setdefault(cell, {})[run] = key in self._failed
         missing = []
         for cell, runs in planned:
