@@ -12,7 +12,7 @@ import subprocess
 import sys
 import time
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -41,14 +41,16 @@ from bench.navigation.models.loose_tight import Loose as Own
 
 
 @contextlib.contextmanager
-def start(place: Path, count: int) -> Iterator[tuple[str, list[subprocess.Popen[bytes]]]]:
+def start(
+    place: Path, count: int, more: Mapping[str, str] | None = None
+) -> Iterator[tuple[str, list[subprocess.Popen[bytes]]]]:
     """Start a scheduler, the first process, and workers that cannot import what is in the present folder."""
     address = place / "address.json"
     common = ["--scheduler-file", str(address), "--no-dashboard", "--dashboard-address", "127.0.0.1:0"]
     commands = [["scheduler", "--host", "127.0.0.1", "--port", "0", *common]]
     worker = ["worker", "--host", "127.0.0.1", "--nthreads", "1", "--no-nanny", "--death-timeout", "60"]
     commands += [[*worker, "--local-directory", str(place), *common] for _ in range(count)]
-    environment = os.environ | {"DASK_DISTRIBUTED__SCHEDULER__WORKER_SATURATION": "1"}
+    environment = os.environ | {"DASK_DISTRIBUTED__SCHEDULER__WORKER_SATURATION": "1"} | dict(more or {})
     environment["PYTHONPATH"] = str(Path(bench.__file__).parents[1])
     with contextlib.ExitStack() as stack:
         started = []
@@ -63,7 +65,7 @@ def start(place: Path, count: int) -> Iterator[tuple[str, list[subprocess.Popen[
             time.sleep(0.05)
         found = json.loads(address.read_text())["address"]
         with distributed.Client(found, set_as_default=False) as client:
-            client.wait_for_workers(count, timeout=60)
+            client.wait_for_workers(count, timeout=60 + 5 * count)
         yield found, started
 
 
@@ -112,6 +114,40 @@ def test_a_scheduler_that_ends_costs_nothing_that_is_finished(tmp_path, monkeypa
     assert 2 <= done < 40
     result = bench.campaign("short.toml", 40, executor=SerialExecutor(), out="spread", resume=True)
     assert (result.finished, result.failed) == (40, {})
+
+
+@pytest.mark.long
+def test_twenty_workers_lose_one_of_them_and_then_the_scheduler(tmp_path, monkeypatch):
+    """Afterwards a campaign without workers goes on, to the same bits as one without either loss."""
+    (tmp_path / "short.toml").write_text(PROFILE)
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path)
+    options: dict[str, Any] = {"estimators": ["loose-15"]}
+    sent: list[Any] = []
+    read = cluster.results.read_truth
+    monkeypatch.setattr(cluster.results, "read_truth", lambda key: sent.append(key) or read(key))
+    monkeypatch.setenv("BENCH_CACHE", str(tmp_path / "driver"))
+    with start(tmp_path / "elsewhere", 20, {"BENCH_CACHE": str(tmp_path / "workers")}) as (
+        address,
+        processes,
+    ):
+
+        def lose(progress: Any) -> None:
+            if progress.new == 5:
+                processes[7].kill()
+            elif progress.new == 60:
+                processes[0].kill()
+
+        with pytest.raises(WorkersLostError, match="the Dask scheduler does not respond"):
+            bench.campaign("short.toml", 400, scheduler=address, out="spread", progress=lose, **options)
+    assert len(sent) == 1  # the cache of the twenty gets the truth once
+    result = bench.campaign(
+        "short.toml", 400, executor=SerialExecutor(), out="spread", resume=True, **options
+    )
+    assert (result.finished, result.failed) == (400, {})
+    bench.campaign("short.toml", 400, executor=SerialExecutor(), out="here", **options)
+    for name in ("runs.parquet", "epochs.parquet"):
+        assert (tmp_path / "spread" / name).read_bytes() == (tmp_path / "here" / name).read_bytes()
 
 
 def test_the_end_of_the_scheduler_is_told_wherever_it_shows(monkeypatch):
