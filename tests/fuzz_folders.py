@@ -159,7 +159,15 @@ def make_part(folder: Path) -> Made:
     finally:
         parts.ROWS = size
     (part,) = parts.list_parts(line.parent)
-    return [line.with_name(part)], read, edit
+    lines = line.read_bytes()
+
+    def read_both(path: Path) -> object:
+        try:
+            return read(path)
+        finally:
+            line.write_bytes(lines)  # without the runs that were repeated
+
+    return [line.with_name(part)], read_both, edit
 
 
 def make_cards(folder: Path) -> Made:
