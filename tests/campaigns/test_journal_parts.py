@@ -83,6 +83,7 @@ def test_what_is_missing_is_found_without_the_rows(tmp_path):
         own, other = journal.find_missing([("cell", wanted), ("another", wanted)])
         assert (own.tolist(), other.tolist()) == ([7, 8, 9], wanted.tolist())
         journal.append(make_row("cell-7"))
+        journal.append({"key": "cell-9", "error": "why"})
         assert journal.find_missing([("cell", wanted)])[0].tolist() == [8, 9]
         assert "estimators" in journal["cell-7"]
         for k in range(20, 23):
