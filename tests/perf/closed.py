@@ -1,47 +1,35 @@
-"""What a flight by a filter costs, and a filter that is asked every 50 ms: CPU times of this process.
+"""What a flight by a filter costs beside JSBSim alone, and a filter that is asked every 50 ms.
 
-    python -m tests.perf.closed
-
-The least of three rounds counts, after one that compiles: what else the machine does only adds to it.
+python -m tests.perf.closed
 """
 
 from __future__ import annotations
 
 import threading
-import time
-from collections.abc import Callable
 from itertools import pairwise
 
 import numpy as np
 
 import bench
 from bench import pipeline
+from bench.core.records.flight_specs import FlightSpec
 from bench.core.records.run_records import Sensed
+from bench.core.records.specs import Profile
 from bench.core.words.stages import Stage
 from bench.io import config
 from bench.pipeline import closed_loop
 from bench.plugins.hil.flight_client import FlightClient
 from bench.plugins.hil.serving import serve
+from bench.simulation.flight import recorder
+from tests.perf.dense import EPOCHS, dense
+from tests.perf.units import Costs, Figure, compare, cpu
 
-ROUNDS = 3
-PIECE = 0.05  # [s]
-APPROACHES, CORES = 200, 2
-
-
-def least(work: Callable[[], object]) -> float:
-    """Return the least CPU time of some work [s], threads of this process included."""
-    work()
-    costs = []
-    for _ in range(ROUNDS):
-        begun = time.process_time()
-        work()
-        costs.append(time.process_time() - begun)
-    return min(costs)
+PIECE, PIECES = 0.05, 800  # length [s] and number of pieces
 
 
-def feed_and_answer(sensed: Sensed) -> float:
-    """Return the cost of a piece of 50 ms and of an answer after it [s]."""
-    edges = [-np.inf, *np.arange(1.0, 41.0, PIECE)]
+def feed_and_answer(sensed: Sensed) -> Costs:
+    """Return the cost of `PIECES` pieces of 50 ms, with an answer after each."""
+    edges = [-np.inf, *(1.0 + PIECE * np.arange(PIECES))]
     pieces = [bench.slice_sensors(sensed.data, *ends) for ends in pairwise(edges)]
 
     def work() -> None:
@@ -50,61 +38,67 @@ def feed_and_answer(sensed: Sensed) -> float:
             filter_.update(piece)
             filter_.current()
 
-    return least(work) / len(pieces)
+    return cpu(work)
 
 
-def fly(rate: float) -> tuple[float, float]:
-    """Return the cost of an approach by ``loose-15`` with so many answers a second, and its length [s]."""
+def fly(rate: float) -> Costs:
+    """Return the cost of an approach by ``loose-15`` with so many answers a second."""
     profile = config.read_profile("approach-closed", {"guidance.period_s": 1.0 / rate})
-    flown = []
-    return least(lambda: flown.append(closed_loop.fly(profile).truth.t[-1])), float(flown[-1])
+    return cpu(lambda: closed_loop.fly(profile))
 
 
-def serve_straight() -> tuple[float, float]:
-    """Return the cost of a flight with a client that is told all and gives the start [s], and its length."""
-    flown = []
+def step_alone(profile: Profile) -> Costs:
+    """Return the cost of stepping the same aircraft in JSBSim as long as it flies the profile."""
+    spec, length = profile.flight, float(closed_loop.fly(profile).truth.t[-1])
+    assert isinstance(spec, FlightSpec)
+    _, dt = recorder.simulation_step(spec.rate)
 
     def work() -> None:
-        heard = threading.Event()
-        told = list[str]()
+        fdm, _ = recorder.prepare(spec, dt)
+        for _ in range(round(length / dt)):
+            fdm.run()
 
-        def say(stage: Stage) -> None:
-            told.append(str(stage))
-            heard.set()
-
-        def fly_there() -> None:
-            heard.wait()
-            with FlightClient(int(told[0].partition(";")[0].rpartition(":")[2])) as flight:
-                for _ in flight.turns():
-                    pass
-
-        client = threading.Thread(target=fly_there, daemon=True)
-        client.start()
-        changes = {"guidance.period_s": PIECE}
-        served = serve("approach-closed", overrides=changes, address="127.0.0.1:0", progress=say)
-        client.join()
-        flown.append(served.flown)
-
-    return least(work), flown[-1]
+    return cpu(work)
 
 
-def measure() -> list[tuple[str, float, float, str, bool]]:
-    """Return the rows of `tests.perf.ratios`: what, value, limit, unit, whether higher is better."""
+def serve_straight() -> None:
+    """Serve a flight to a client that is told all and leaves the steering to the bench."""
+    heard = threading.Event()
+    told = list[str]()
+
+    def say(stage: Stage) -> None:
+        told.append(str(stage))
+        heard.set()
+
+    def fly_there() -> None:
+        heard.wait()
+        with FlightClient(int(told[0].partition(";")[0].rpartition(":")[2])) as flight:
+            for _ in flight.turns():
+                pass
+
+    client = threading.Thread(target=fly_there, daemon=True)
+    client.start()
+    serve("approach-closed", overrides={"guidance.period_s": PIECE}, address="127.0.0.1:0", progress=say)
+    client.join()
+
+
+def measure() -> list[Figure]:
+    """Return the rows of `tests.perf.ratios`."""
     profile = config.read_profile("figure-eight")
     sensed = pipeline.sense(profile, pipeline.fly(profile))
-    (slow, length), (fast, _), (served, flown) = fly(5.0), fly(20.0), serve_straight()
-    hour = 3600.0 / length
-    turns = "bench serve with evaluation, 20 turns a second: flight time over CPU time"
-    whole = APPROACHES * slow / CORES / 60.0
+    step = step_alone(config.read_profile("approach-closed"))
     return [
-        ("loose-15, 50 ms fed and answered", 1e3 * feed_and_answer(sensed), 0.4, "ms CPU", False),
-        ("an hour flown by loose-15, 5 answers a second", slow * hour, 70.0, "s CPU", False),
-        ("an hour flown by loose-15, 20 answers a second", fast * hour, 180.0, "s CPU", False),
-        (turns, flown / served, 30.0, "x", True),
-        (f"{APPROACHES} approaches flown by loose-15, {CORES} processors", whole, 10.0, "min CPU", False),
+        compare(feed_and_answer(sensed), cpu(dense)).hold(
+            "loose-15, 50 ms fed and answered / epochs of dense", 1.0, EPOCHS / PIECES
+        ),
+        compare(fly(5.0), step, 3).hold("approach flown by loose-15, 5 answers a second / stepping it", 1.0),
+        compare(fly(20.0), step, 3).hold(
+            "approach flown by loose-15, 20 answers a second / stepping it", 1.0
+        ),
+        compare(cpu(serve_straight), step, 3).hold("bench serve, 20 turns a second / stepping it", 1.0),
     ]
 
 
 if __name__ == "__main__":
-    for what, value, limit, unit, higher in measure():
-        print(f"{what:75} {value:.3g} {unit} ({'>=' if higher else '<='} {limit:g})")
+    for one in measure():
+        print(f"{one.what:75} {one.value:.3g} (<= {one.limit:g})")

@@ -3,12 +3,13 @@
     python -m tests.perf.hil
 
 The stand-in answers without a thought: what is measured is the bench and the socket. The best of three rounds
-counts. The round trip is by the clock. The speed is a sample over its CPU time here and its round trip: what
-else the machine does is left out of it.
+counts, of the bench and of bare messages of the same kind that go by turns with it. The round trip is by the
+clock. The speed is a sample over its CPU time here and its round trip: nothing else the machine does.
 """
 
 from __future__ import annotations
 
+import math
 import socket
 import struct
 import subprocess
@@ -28,6 +29,7 @@ from bench.plugins.hil.json_session import JsonSession
 from bench.plugins.hil.mavlink_session import MavlinkSession
 from bench.plugins.hil.served import load_served
 from bench.simulation.flight.guidance.steering import Commands
+from tests.perf.units import Figure
 
 ROUNDS, SECONDS = 3, 10.0
 HIL_SENSOR = 107  # message of common.xml
@@ -69,32 +71,27 @@ def fly(kind: str, rate: int) -> tuple[float, float]:
     profile = load_served("s-turns", {"duration_s": SECONDS, "rate_hz": rate, "evaluation.from_s": 1.0})
     spec, told = profile.flight, list[str]()
     assert isinstance(spec, FlightSpec)
-    found = []
-    for _ in range(ROUNDS):
-        with listen("127.0.0.1", 0, told.append, udp=kind == "json") as server:
-            commands = Commands()
-            link: Any
-            if kind == "json":
-                start = np.array([spec.lat, spec.lon, spec.alt])
-                link = JsonSession(server, commands, 0.0, 5.0, channels=ARDUPILOT, start=start)
-            else:
-                channels = ActuatorChannels()
-                link = MavlinkSession(
-                    server, commands, 0.0, 5.0, channels=channels, truth=False, alt=spec.alt
-                )
-            trips, spent = list[float](), list[float]()
-            link.exchange = timed(link.exchange, trips, spent)
-            other = [sys.executable, "-m", "tests.perf.hil", kind, str(server.getsockname()[1])]
-            with subprocess.Popen(other) as stand_in:
-                link.wait(told.append)
-                flown = autopilot_flight.fly(profile, 0, link, told.append)
-                link.close("over", good=True)
-                stand_in.kill()
-        assert not flown.ended, flown.ended
-        half = len(trips) // 2  # the first seconds are real time and compiling
-        trip, cpu = float(np.median(trips[half:])), (spent[-1] - spent[half]) / (len(spent) - 1 - half)
-        found.append((trip, 1.0 / rate / (cpu + trip)))
-    return min(one[0] for one in found), max(one[1] for one in found)
+    with listen("127.0.0.1", 0, told.append, udp=kind == "json") as server:
+        commands = Commands()
+        link: Any
+        if kind == "json":
+            start = np.array([spec.lat, spec.lon, spec.alt])
+            link = JsonSession(server, commands, 0.0, 5.0, channels=ARDUPILOT, start=start)
+        else:
+            channels = ActuatorChannels()
+            link = MavlinkSession(server, commands, 0.0, 5.0, channels=channels, truth=False, alt=spec.alt)
+        trips, spent = list[float](), list[float]()
+        link.exchange = timed(link.exchange, trips, spent)
+        other = [sys.executable, "-m", "tests.perf.hil", kind, str(server.getsockname()[1])]
+        with subprocess.Popen(other) as stand_in:
+            link.wait(told.append)
+            flown = autopilot_flight.fly(profile, 0, link, told.append)
+            link.close("over", good=True)
+            stand_in.kill()
+    assert not flown.ended, flown.ended
+    half = len(trips) // 2  # the first seconds are real time and compiling
+    trip, cpu = float(np.median(trips[half:])), (spent[-1] - spent[half]) / (len(spent) - 1 - half)
+    return trip, 1.0 / rate / (cpu + trip)
 
 
 def timed(exchange: Callable[[Any], None], trips: list[float], spent: list[float]) -> Callable[[Any], None]:
@@ -109,21 +106,69 @@ def timed(exchange: Callable[[Any], None], trips: list[float], spent: list[float
     return run
 
 
-def measure() -> list[tuple[str, float, float, str, bool]]:
-    """Return the rows of `tests.perf.ratios`: what, value, limit, unit, whether higher is better."""
+def bounce(kind: str) -> float:
+    """Return the median round trip of bare messages of 100 bytes with a process of its own [s]."""
+    trips = []
+    datagrams = kind == "json"
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM if datagrams else socket.SOCK_STREAM) as door:
+        door.bind(("127.0.0.1", 0))
+        if not datagrams:
+            door.listen(1)
+        other = [sys.executable, "-m", "tests.perf.hil", f"bare-{kind}", str(door.getsockname()[1])]
+        with subprocess.Popen(other) as stand_in:
+            line, place = (door, door.recvfrom(100)[1]) if datagrams else door.accept()
+            with line:
+                if not datagrams:
+                    line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                for _ in range(3000):
+                    begun = time.perf_counter()
+                    line.sendto(bytes(100), place) if datagrams else line.sendall(bytes(100))
+                    line.recv(100)
+                    trips.append(time.perf_counter() - begun)
+            stand_in.kill()
+    return float(np.median(trips[500:]))
+
+
+def bounce_back(kind: str, port: int) -> None:
+    """Send each message back."""
+    with socket.socket(
+        socket.AF_INET, socket.SOCK_DGRAM if kind == "bare-json" else socket.SOCK_STREAM
+    ) as line:
+        line.connect(("127.0.0.1", port))
+        if kind == "bare-json":
+            line.send(b"here")
+        else:
+            line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        while data := line.recv(100):
+            line.send(data)
+
+
+def measure() -> list[Figure]:
+    """Return the rows of `tests.perf.ratios`."""
     rows = []
     for kind, name, rate in (("mavlink", "PX4", 250), ("json", "ArduPilot", 400)):
-        trip, speed = fly(kind, rate)
+        found = np.array([[*fly(kind, rate), bounce(kind)] for _ in range(ROUNDS)])
+        trip, bare = float(found[:, 0].min()), float(found[:, 2].min())
+        speed, spread = float(found[:, 1].max()), float(np.median(found[:, 0]) / trip)
         rows += [
-            (f"{name}, {rate} Hz: median round trip of a sample", 1e3 * trip, 0.2, "ms", False),
-            (f"{name}, {rate} Hz: a sample over CPU time and round trip", speed, 5.0, "x", True),
+            Figure(
+                f"{name}, {rate} Hz: round trip of a sample / of a bare message",
+                trip / bare,
+                1.0,
+                spread=spread,
+            ),
+            Figure(
+                f"{name}, {rate} Hz: flight time over CPU time and round trips", speed, math.inf, "x", True
+            ),
         ]
     return rows
 
 
 if __name__ == "__main__":
-    if len(sys.argv) > 1:
+    if len(sys.argv) > 1 and sys.argv[1].startswith("bare-"):
+        bounce_back(sys.argv[1], int(sys.argv[2]))
+    elif len(sys.argv) > 1:
         {"json": answer_json, "mavlink": answer_mavlink}[sys.argv[1]](int(sys.argv[2]))
     else:
-        for what, value, limit, unit, higher in measure():
-            print(f"{what:75} {value:.3g} {unit} ({'>=' if higher else '<='} {limit:g})")
+        for one in measure():
+            print(f"{one.what:75} {one.value:.3g} {one.unit}")
