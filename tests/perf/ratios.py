@@ -1,25 +1,51 @@
 """Speed as ratios measured side by side in one run: ``make perf``.
 
 Each work goes by turns with its unit (`tests.perf.units`, `tests.perf.dense`): work that is limited by the
-same part of the machine. The least cost of each counts, so that a slow or busy machine moves both sides. Whole
-commands are measured by the CPU time of their own process, with pandas installed and as if it were not: other
+same part of the machine. The least cost of each counts, so that a slow or busy machine moves both sides.
+Whole commands are measured by the CPU time of their own process, with pandas installed and as if it were not: other
 packages import it where it is. Exit status 1 where a figure is beyond its limit.
 
     python -m tests.perf.ratios [PART ...]
+
+Without parts it also writes the table of the guide.
 """
 
 from __future__ import annotations
 
+import math
+import os
+import platform
 import sys
 from collections.abc import Callable
+from pathlib import Path
 
 from rich.console import Console
 from rich.table import Table
 
+import bench
 from bench import pipeline
 from bench.io import config
+from tests.measured import stamp, write_measured
 from tests.perf import closed, commands, filters, flights, hil
 from tests.perf.units import Figure
+
+PAGE = Path(bench.__file__).parent / "guide" / "accuracy.md"
+HEAD, END = "<!-- make perf writes -->", "<!-- to here -->"
+
+
+def write_page(figures: list[Figure]) -> None:
+    """Write the table of the guide, with the day, the commit and the machine."""
+    lines = ["| | measured | allowed |", "|---|---|---|"]
+    for f in figures:
+        side = "at least " if f.higher_is_better else ""
+        limit = "" if math.isinf(f.limit) else f"{side}{f.limit:g}{'' if f.unit == 'x' else f' {f.unit}'}"
+        lines.append(f"| {f.what} | {f.value:.3g}{'' if f.unit == 'x' else f' {f.unit}'} | {limit} |")
+    machine = (
+        f"{os.cpu_count()} x {platform.processor() or platform.machine()}, Python {platform.python_version()}"
+    )
+    text = "\n".join([*lines, "", f"{write_measured([stamp()])[:-1]}, {machine}."])
+    before, _, rest = PAGE.read_text(encoding="utf-8").partition(HEAD)
+    PAGE.write_text(f"{before}{HEAD}\n{text}\n{END}{rest.partition(END)[2]}", encoding="utf-8")
 
 
 def main(wanted: list[str]) -> int:
@@ -58,6 +84,8 @@ def main(wanted: list[str]) -> int:
         table.add_row(f.what, f"{f.value:.3g} {f.unit}", spread, f"{sign} {f.limit:g}", f.word)
     console = Console(width=118)
     console.print(table)
+    if not wanted:
+        write_page(figures)
     beyond = sum(f.over > 0 for f in figures)
     console.print(f"{beyond} of {len(figures)} figures are beyond their limit.")
     return 1 if beyond else 0
