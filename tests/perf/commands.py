@@ -47,9 +47,9 @@ def reporting(profile: Profile) -> list[Figure]:
 def warm() -> list[Figure]:
     """Commands where everything is compiled and cached, with pandas and without."""
     verbs = {
-        "run figure-eight --no-causes --force -o again": ("bench run figure-eight --no-causes", 1.0),
-        "fly figure-eight": ("bench fly figure-eight", 1.0),
-        "list": ("bench list", 1.0),
+        "run figure-eight --no-causes --force -o again": ("bench run figure-eight --no-causes", 33.0),
+        "fly figure-eight": ("bench fly figure-eight", 6.0),
+        "list": ("bench list", 6.5),
         "--help": ("bench --help", 1.0),
     }
     starts = {"without pandas": WITHOUT_PANDAS}
@@ -91,9 +91,9 @@ def first() -> list[Figure]:
         )
         warm = command(whole, there, cache)
         rows = [
-            compare(cold(whole, flown=False), COMPILE, 3).hold("first bench run / fixed compilations", 1.0),
+            compare(cold(whole, flown=False), COMPILE, 3).hold("first bench run / fixed compilations", 30.0),
             compare(cold(one, flown=True), COMPILE, 3).hold(
-                "first run of loose-22, truth cached / the same", 1.0
+                "first run of loose-22, truth cached / the same", 28.0
             ),
         ]
         return [
@@ -130,8 +130,8 @@ def starting(truth: Trajectory) -> list[Figure]:
             return process()()
 
         return [
-            compare(cold, COMPILE, 2).hold("all built-in filters, first ever / fixed compilations", 1.0),
+            compare(cold, COMPILE, 2).hold("all built-in filters, first ever / fixed compilations", 50.0),
             compare(process("loose-22"), START).hold(
-                "loose-22, kernels warm, to its first answer / starts of Python", 1.0
+                "loose-22, kernels warm, to its first answer / starts of Python", 13.0
             ),
         ]

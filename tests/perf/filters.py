@@ -63,16 +63,16 @@ def navigating(profile: Profile, matched: Profile) -> list[Figure]:
     return [
         Figure(f"dense / {name}", dense / cost[name], limit, "x", higher_is_better=True)
         for name, limit in (
-            ("loose-22, every sample", 7.0),
-            ("loose-22, 20 Hz", 20.0),
-            ("loose-mems, every sample", 4.0),
-            ("tight, 20 Hz", 10.0),
-            ("tight without IMU errors, 20 Hz", 14.0),
+            ("loose-22, every sample", 5.5),
+            ("loose-22, 20 Hz", 16.0),
+            ("loose-mems, every sample", 3.6),
+            ("tight, 20 Hz", 7.0),
+            ("tight without IMU errors, 20 Hz", 10.0),
         )
     ] + [
         Figure("gnss-only / loose-22, 20 Hz", cost["gnss-only"] / cost["loose-22, 20 Hz"], 0.3, "x"),
         Figure("smoother / its forward filter", cost["smoother"] / cost["its forward filter"], 2.5, "x"),
-        Figure("sense, loose-22 at 20 Hz, judge / dense", cost["Monte Carlo"] / dense, 0.10, "x"),
+        Figure("sense, loose-22 at 20 Hz, judge / dense", cost["Monte Carlo"] / dense, 0.14, "x"),
         Figure("loose-22, 20 Hz / strapdown", cost["loose-22, 20 Hz"] / cost["strapdown"], math.inf, "x"),
     ]
 

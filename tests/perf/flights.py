@@ -35,14 +35,14 @@ def flying(profile: Profile) -> list[Figure]:
     def recording(name: str) -> Figure:
         spec = turning(name)
         cost = compare(cpu(lambda: record(spec)), cpu(lambda: step(spec)))
-        return cost.hold(f"recording a flight of the {spec.aircraft.name} / stepping it", 1.4)
+        return cost.hold(f"recording a flight of the {spec.aircraft.name} / stepping it", 1.6)
 
     whole = compare(
         cpu(lambda: list(recorder.fly_pieces(profile.flight))), cpu(lambda: step(profile.flight)), 3
     )
     return [
         *(recording(name) for name in ("figure-eight", "circuit-navion", "long-cruise", "hover-and-sprint")),
-        whole.hold("first flight / stepping it", 4.0),
+        whole.hold("first flight / stepping it", 2.0),
     ]
 
 
@@ -83,12 +83,12 @@ def sensing(profile: Profile, truth: Trajectory) -> list[Figure]:
             "IMU record / drawing 6 normals per sample", 3.0
         ),
         against(lambda: imu.measure(truth, every_imu_term(), SensorDraws(1, 0))).hold(
-            "IMU record with every error term / the same", 6.0
+            "IMU record with every error term / the same", 8.5
         ),
         # 40 % are fixes, whose ranges are weighed by the inverse of their covariance in each epoch; 17 % the
         # waves of the ionosphere, 64 for each range; 8 % the satellites' orbits, twice
         against(lambda: sky.measure(truth, *given, SensorDraws(1, 0))).hold(
-            "GPS + GLONASS ranges and fixes / the same", 7.0
+            "GPS + GLONASS ranges and fixes / the same", 9.0
         ),
     ]
 

@@ -154,7 +154,7 @@ def measure() -> list[Figure]:
             Figure(
                 f"{name}, {rate} Hz: round trip of a sample / of a bare message",
                 trip / bare,
-                1.0,
+                9.0,
                 spread=spread,
             ),
             Figure(

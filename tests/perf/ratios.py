@@ -2,8 +2,8 @@
 
 Each work goes by turns with its unit (`tests.perf.units`, `tests.perf.dense`): work that is limited by the
 same part of the machine. The least cost of each counts, so that a slow or busy machine moves both sides.
-Whole commands are measured by the CPU time of their own process, with pandas installed and as if it were not: other
-packages import it where it is. Exit status 1 where a figure is beyond its limit.
+Whole commands are measured by the CPU time of their own process, with pandas installed and as if it were not:
+other packages import it where it is. Exit status 1 where a figure is beyond its limit.
 
     python -m tests.perf.ratios [PART ...]
 
