@@ -89,6 +89,11 @@ def test_an_estimate_that_used_every_fix_is_judged_by_its_innovations_alone():
     assert "contains no innovations of it" in add_verdict("autopilot", values)["verdict_text"]
     without = add_verdict("ahrs", {**values, "without_fixes": True, **nis, "nis_mean_baro": 1.0})
     assert "the log has no fixes and no reference to evaluate it; its innov" in without["verdict_text"]
+    still = {name.replace("baro", "gravity"): value for name, value in nis.items()} | {
+        "nis_mean_gravity": 0.01
+    }
+    told = add_verdict("ahrs", {**values, "without_fixes": True, **still})["verdict_text"]
+    assert "NIS of gravity 0.01 (at least 0.8), because their sigma allows for maneuvers" in told
 
 
 @pytest.mark.parametrize(

@@ -223,7 +223,8 @@ def _judge_by_innovations(label: str, values: Mapping[str, Any]) -> _Judgment:
     else:
         fit = "its innovations match its covariance"
         if quiet:
-            fit = f"its innovations are smaller than reported, {_describe_innovations(quiet, values)}"
+            why = ", because their sigma allows for maneuvers" if quiet == ["gravity"] else ""
+            fit = f"its innovations are smaller than reported, {_describe_innovations(quiet, values)}{why}"
         reason = f"{used}; {fit}"
     return _Judgment(NOT_EVALUATED, reason, f"{label} is {NOT_EVALUATED}: {reason}.")
 
