@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable
 from datetime import date
 
@@ -20,3 +21,13 @@ def stamp() -> str:
 def write_measured(stamps: Iterable[str]) -> str:
     """Return the line for the days and commits at which the rows of a table were measured."""
     return f"Measured on {'; '.join(sorted(set(stamps)))}."
+
+
+def name_processor() -> str:
+    """Return number and name of the processors of this machine."""
+    try:
+        with open("/proc/cpuinfo", encoding="utf-8") as file:
+            names = [line.partition(":")[2].strip() for line in file if line.startswith("model name")]
+    except OSError:
+        names = []
+    return f"{os.cpu_count()} x {names[0]}" if names else f"{os.cpu_count()} processors"

@@ -25,7 +25,7 @@ from bench.experiments.card.card_making import YARDSTICK
 from bench.experiments.card.card_suite import Suite, hash_suite
 from bench.io import results
 from tests.league.entries import AUDIT, HELD, SUITES, Entry, find_reference
-from tests.measured import stamp
+from tests.measured import name_processor, stamp
 
 IN_PROCESS = Guard(in_process=True)
 _TOPICS = ("accuracy", "velocity", "tilt", "heading", "outages", "honesty")
@@ -73,7 +73,7 @@ def make_league(
         "format": 1, "stamp": stamp(), "seed": seed, "versions": dict(results.list_versions()),
         "suites": hashes, "flights": {kind: [one.name for one in SUITES[kind][0].members] for kind in hashes},
         "references": {kind: find_reference(kind) for kind in hashes},
-        "machine": f"{platform.machine()}, {platform.system()}, {_name_processor()}",
+        "machine": f"{platform.machine()}, {platform.system()}, {name_processor()}",
         "cpu_s": sum(os.times()[:4]) - begun, "rows": rows,
     }  # fmt: skip
 
@@ -182,15 +182,6 @@ def _select(suite: Suite, flown: Sequence[Any], number: int, label: str) -> list
 def _write_command(label: str, suite: Suite) -> str:
     seed = "" if suite.draw_seed is None else f" --seed {suite.draw_seed}"
     return f"python -m tests.league --only {label} --runs {suite.draws}{seed}"
-
-
-def _name_processor() -> str:
-    try:
-        with open("/proc/cpuinfo", encoding="utf-8") as file:
-            names = [line.partition(":")[2].strip() for line in file if line.startswith("model name")]
-    except OSError:
-        names = []
-    return f"{os.cpu_count()} x {names[0]}" if names else f"{os.cpu_count()} processors"
 
 
 def verify_league(league: dict[str, Any], count: int = 3) -> tuple[list[str], list[str]]:
