@@ -13,7 +13,6 @@ Without parts it also writes the table of the guide.
 from __future__ import annotations
 
 import math
-import os
 import platform
 import sys
 from collections.abc import Callable
@@ -25,7 +24,7 @@ from rich.table import Table
 import bench
 from bench import pipeline
 from bench.io import config
-from tests.measured import stamp, write_measured
+from tests.measured import name_processor, stamp, write_measured
 from tests.perf import closed, commands, filters, flights, hil
 from tests.perf.units import Figure
 
@@ -40,9 +39,7 @@ def write_page(figures: list[Figure]) -> None:
         side = "at least " if f.higher_is_better else ""
         limit = "" if math.isinf(f.limit) else f"{side}{f.limit:g}{'' if f.unit == 'x' else f' {f.unit}'}"
         lines.append(f"| {f.what} | {f.value:.3g}{'' if f.unit == 'x' else f' {f.unit}'} | {limit} |")
-    machine = (
-        f"{os.cpu_count()} x {platform.processor() or platform.machine()}, Python {platform.python_version()}"
-    )
+    machine = f"{name_processor()}, Python {platform.python_version()}"
     text = "\n".join([*lines, "", f"{write_measured([stamp()])[:-1]}, {machine}."])
     before, _, rest = PAGE.read_text(encoding="utf-8").partition(HEAD)
     PAGE.write_text(f"{before}{HEAD}\n{text}\n{END}{rest.partition(END)[2]}", encoding="utf-8")
