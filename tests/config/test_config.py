@@ -248,6 +248,7 @@ def test_a_datasheet_figure_becomes_si(tmp_path, triad, key, value, field, si):
     whole_range = "range_deg_s" if triad == "gyro" else "range_g"
     needs = {"bias_instability": "bias_correlation_s = 300.0", "nonlinearity_sd": f"{whole_range} = 8.0"}
     needs["transient_sd"] = "transient_time_s = 60.0"
+    needs["transient_time"] = f"transient_sd_{'deg_h' if triad == 'gyro' else 'ug'} = 1.0"
     write(tmp_path, f'source = "by hand"\n[{triad}]\n{key} = {value}\n{needs.get(field, "")}\n', "unit.toml")
     spec = read_imu(tmp_path / "unit.toml", "unit.toml")
     assert getattr(getattr(spec, triad), field) == pytest.approx(si, rel=1e-7)

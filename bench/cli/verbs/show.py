@@ -18,11 +18,8 @@ from bench.core.records.specs import Profile
 from bench.core.words.notebook import ShownFigure
 from bench.core.words.wording import one_line
 from bench.io import config
-from bench.io.config.datasheets import read_imu
 from bench.io.config.figure_table import MARKS, tabulate_figures
-from bench.io.config.library import find_datasheet
 from bench.io.config.listing import KINDS, CatalogEntry, KeyEntry, find_sheets
-from bench.io.config.toml_file import read_toml
 from bench.navigation.built_in import BUILT_IN
 from bench.simulation.signals.terrain import read_grid
 
@@ -224,6 +221,9 @@ def print_sensors(console: Console) -> None:
 
 def draw_imus(picture: Path, console: Console) -> None:
     """Draw the Allan deviation of the IMUs of the catalog by class, and print where."""
+    from bench.io.config.datasheets import read_imu
+    from bench.io.config.library import find_datasheet
+    from bench.io.config.toml_file import read_toml
     from bench.views.report import allan_picture
 
     allan_picture.check_picture(picture, force=True)
