@@ -134,6 +134,8 @@ class _Shelf(click.Choice[str]):
             near = difflib.get_close_matches(str(value).lower(), shelves, n=1)
             if near:
                 self.fail(f"{value!r} is not a kind; {near[0]} is in 'bench list {shelves[near[0]]}'")
+            kinds = ["filters" if one == "estimators" else one for one in self.choices]
+            self.fail(f"{value!r} is not a kind; there are {', '.join([*kinds, *KINDS])}")
         return super().convert(value, param, ctx)
 
 
@@ -162,9 +164,10 @@ def list_all(kind: str | None, as_json: bool, long: bool, picture: Path | None) 
     values, for legs all keys with limits and defaults, and for packages what each of them adds.
     """
     from bench.cli.verbs.show import list_catalog, print_catalog, print_sensors
+    from bench.io.config.listing import KINDS
 
-    if long and kind != "sensors":
-        raise click.UsageError("--long is for bench list sensors")
+    if long and kind != "sensors" and kind not in KINDS:
+        raise click.UsageError("--long is for bench list sensors, or a kind of sensor such as imu")
     if picture is not None and kind != "sensors":
         raise click.UsageError("--picture is for bench list sensors")
     if picture is not None:
@@ -173,12 +176,13 @@ def list_all(kind: str | None, as_json: bool, long: bool, picture: Path | None) 
         draw_imus(picture, new_console())
     if long and as_json:
         from bench.io.config.figure_table import tabulate_figures
-        from bench.io.config.listing import KINDS
         from bench.io.results import to_json
 
-        click.echo(to_json({kind: tabulate_figures(kind) for kind in KINDS}), nl=False)
+        click.echo(
+            to_json({one: tabulate_figures(one) for one in KINDS if kind in ("sensors", one)}), nl=False
+        )
     elif long:
-        print_sensors(new_console())
+        print_sensors(new_console(), [one for one in KINDS if kind in ("sensors", one)])
     elif as_json:
         from bench.io.results import to_json
 

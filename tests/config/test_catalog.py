@@ -296,6 +296,13 @@ def test_the_long_list_has_every_figure_in_one_unit(capsys):
     assert "zed-f9p" in shown
     assert "* typical of the class" in " ".join(shown.split())
     assert main(["list", "profiles", "--long"]) == 2
+    capsys.readouterr()
+    assert main(["list", "baro", "--long"]) == 0
+    only = capsys.readouterr().out
+    assert "bmp581" in only
+    assert "zed-f9p" not in only
+    assert main(["list", "nosuch"]) == 2
+    assert "not a kind; there are profiles" in capsys.readouterr().err
 
 
 def test_no_triad_is_free_of_noise():

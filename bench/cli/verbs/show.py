@@ -205,9 +205,9 @@ def _print_problems(console: Console) -> None:
         console.print(one_line(line), style="yellow")
 
 
-def print_sensors(console: Console) -> None:
-    """Print the figures of all sensors of the catalog, a table for each kind."""
-    for kind in KINDS:
+def print_sensors(console: Console, kinds: Sequence[str]) -> None:
+    """Print the figures of the sensors of the catalog, a table for each kind."""
+    for kind in kinds:
         figures = tabulate_figures(kind)
         columns = {
             name: cells if name in (kind, "class") else [ShownFigure(cell) for cell in cells]

@@ -320,7 +320,10 @@ def find_datasheet(kind: str, name: str, beside: Path) -> tuple[Path, str]:
     """
     if name.endswith(".toml"):
         if not os.path.isfile(beside / name):  # unlike Path.is_file, false for a name that is too long
-            raise ConfigError(f"{kind} = {name!r}: no such file{tell_where(name)}")
+            where = tell_where(name)
+            if where and beside == Path():
+                where = " in the current folder"
+            raise ConfigError(f"{kind} = {name!r}: no such file{where}")
         return beside / name, name
     shipped = CATALOG / kind / f"{name}.toml"
     if NAME.fullmatch(name) and shipped.is_file():
