@@ -168,8 +168,8 @@ def list_all(kind: str | None, as_json: bool, long: bool, picture: Path | None) 
 
     if long and kind != "sensors" and kind not in KINDS:
         raise click.UsageError("--long is for bench list sensors, or a kind of sensor such as imu")
-    if picture is not None and kind != "sensors":
-        raise click.UsageError("--picture is for bench list sensors")
+    if picture is not None and (kind != "sensors" or as_json):
+        raise click.UsageError("--picture is for bench list sensors, without --json")
     if picture is not None:
         from bench.cli.verbs.show import draw_imus
 
