@@ -114,19 +114,3 @@ njit(multiply)(matrix, matrix, matrix, 1)
 """,
 )
 """The start of Python and numba, and the compilation of a product of matrices."""
-
-
-def step_jsbsim(seconds: float = 60.0) -> Callable[[], object]:
-    """Return JSBSim alone: the Cessna 172 of its package, in the air, at 120 Hz."""
-    import jsbsim
-
-    def step() -> None:
-        fdm = jsbsim.FGFDMExec(None)
-        fdm.set_debug_level(0)
-        fdm.load_model("c172x")
-        fdm["ic/h-sl-ft"], fdm["ic/vc-kts"] = 3000.0, 100.0
-        fdm.run_ic()
-        for _ in range(round(120.0 * seconds)):
-            fdm.run()
-
-    return step

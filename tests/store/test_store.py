@@ -680,6 +680,7 @@ MAKE_NO_TRUTH = {
     "bench.io.logs.file_kinds": "names files that are rejected",
     "bench.io.logs.rows": "of logs",
     "bench.core.compilation.inner_numba": "makes machine code of functions that are listed",
+    "bench.core.compilation.kernel_locks": "who compiles a kernel",
     "bench.core.records.instruments": "of the sensors",
     "bench.core.records.orbit_sets": "of the receivers",
     "bench.core.records.run_records": "of the sensors and the filters",
