@@ -95,22 +95,6 @@ START = child("-m", "tests.perf.interpreted")
 """The start of Python and numpy, and some interpreted work."""
 
 COMPILE = child(
-    "-c",
-    """
-import numpy as np
-from numba import njit
-def multiply(Phi, P, T, epochs):
-    m = P.shape[0]
-    for _ in range(epochs):
-        for i in range(m):
-            for j in range(m):
-                T[i, j] = 0.0
-            for k in range(m):
-                a = Phi[i, k]
-                for j in range(m):
-                    T[i, j] += a * P[k, j]
-matrix = np.ones((3, 3))
-njit(multiply)(matrix, matrix, matrix, 1)
-""",
+    "-c", "from numpy import ones\nfrom tests.perf.dense import _multiply\n_multiply(*[ones((3, 3))] * 3, 1)"
 )
 """The start of Python and numba, and the compilation of a product of matrices."""
