@@ -153,7 +153,7 @@ def test_what_a_filter_averages_over_runs_is_of_no_use(monkeypatch):
 
 def test_fixes_taken_before_they_arrive_are_seconds_of_the_future(monkeypatch):
     use_flights(monkeypatch, LATE_FLIGHT)
-    early, honest = (find(judge(name), "causality", LATE) for name in ("TakesFixesEarly", "Wrong"))
+    early, honest = (find(judge(name, audit=7), "causality", LATE) for name in ("TakesFixesEarly", "Wrong"))
     assert early.value == pytest.approx(0.5, abs=0.05)
     assert early.sentence.startswith(f"{LATE}: uses the future: 0.4")
     assert honest.value == 0.0
