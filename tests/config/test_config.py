@@ -514,7 +514,7 @@ def test_a_path_in_an_override_is_relative_to_the_present_folder(tmp_path, monke
     ]
     monkeypatch.chdir(tmp_path)
     message = errors("own.toml", overrides={"sensors.imu": "none.toml"})
-    assert message == ["own.toml: [sensors] imu = 'none.toml': no such file beside the profile"]
+    assert message == ["own.toml: [sensors] imu = 'none.toml': no such file in the current folder"]
 
 
 def test_a_table_and_a_solution_on_the_command_line_are_in_the_present_folder(tmp_path, monkeypatch):
