@@ -91,11 +91,11 @@ def measure() -> list[Figure]:
         compare(feed_and_answer(sensed), cpu(dense)).hold(
             "loose-15, 50 ms fed and answered / epochs of dense", 160.0, EPOCHS / PIECES
         ),
-        compare(fly(5.0), step, 3).hold("approach flown by loose-15, 5 answers a second / stepping it", 10.0),
+        compare(fly(5.0), step, 3).hold("approach flown by loose-15, 5 answers a second / stepping it", 12.0),
         compare(fly(20.0), step, 3).hold(
-            "approach flown by loose-15, 20 answers a second / stepping it", 22.0
+            "approach flown by loose-15, 20 answers a second / stepping it", 30.0
         ),
-        compare(cpu(serve_straight), step, 3).hold("bench serve, 20 turns a second / stepping it", 14.0),
+        compare(cpu(serve_straight), step, 3).hold("bench serve, 20 turns a second / stepping it", 18.0),
     ]
 
 
