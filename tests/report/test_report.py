@@ -95,6 +95,15 @@ def test_the_page_needs_no_other_file_and_allows_its_own_script_only(text):
     assert policy == f"default-src 'none'; style-src 'unsafe-inline'; script-src 'sha256-{digest}'"
 
 
+def test_every_line_and_area_has_a_style(text):
+    """Without a rule for its class a path is a black area, as between the ends of an outage."""
+    style, _, body = text.partition("<body")
+    drawn = re.findall(r"<(?:path|rect|circle) [^>]*class=\"([^\"]+)\"", body)
+    assert "segment outage" in drawn
+    rules = set(re.findall(r"\.([a-zA-Z][\w-]*)", style))
+    assert {name.split()[0] for name in drawn} <= rules
+
+
 def test_headings_are_in_order_and_every_picture_is_described(text):
     outline = Outline(text)
     levels = [int(tag[1]) for tag, _ in outline.tags if re.fullmatch("h[1-6]", tag)]
