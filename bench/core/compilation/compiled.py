@@ -167,7 +167,7 @@ def _add_number(rows):  # type: ignore[no-untyped-def]
 
 @cache
 def _make_plain() -> Callable[..., Any]:
-    """Return what makes plain kernels, which name each other as numba's own."""
+    """Return the decorator of plain kernels; each can name others, as numba's own kernels do."""
     import numba
     from numba.extending import typeof_impl
 
@@ -284,7 +284,7 @@ def types_of(*arguments: Any) -> KernelTypes:
 
 
 def _describe_types(value: Any) -> Any:
-    """Return what the type of a value follows from, without numba: of tuples, arrays and numbers."""
+    """Return what determines the numba type of a tuple, array or number, found without numba."""
     if isinstance(value, tuple):
         kind = type(value)
         return kind if _holds_integers(kind) else (kind, *map(_describe_types, value))

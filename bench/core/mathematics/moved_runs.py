@@ -13,7 +13,7 @@ class MovedRun(int):
     """The number of a run that has a weighted sum of the noises of several runs as its normal noise.
 
     The squares of the weights sum to 1, so the noise of any such run is distributed as that of a plain one.
-    What is drawn otherwise, such as a uniform phase, stays that of the first run.
+    All other random numbers, such as a uniform phase, are from the first run.
 
     Examples
     --------
