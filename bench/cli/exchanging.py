@@ -81,6 +81,10 @@ def measure_allan(
         check_sheet(Path(sheet), force=force)
         if log is None:
             raise ConfigError(f"{sheet}: a datasheet is fitted to a log; name it with --log")
+    if gravity is not None and log is None:
+        raise ConfigError(
+            "--gravity is for a log with several poses: name it with --log, or leave --gravity out"
+        )
     spec = None if unit is None else read_imu(*find_datasheet("imu", unit, Path()))
     if log is not None:
         measured = _measure_log(Path(log), spec, gravity)
@@ -128,7 +132,7 @@ def _measure_log(log: Path, spec: ImuSpec | None, gravity: float | None) -> Alla
     if len(desk.rests) > 1:
         poses = pose_fit.fit_poses(desk.triads, desk.rests, interval, gravity)
     elif gravity is not None:
-        raise ConfigError(f"{log}: rests in one pose: the gravity has no use; leave it out")
+        raise ConfigError(f"{log}: rests in one pose, so --gravity has no effect; leave it out")
     rest = max(desk.rests, key=lambda rows: rows.stop - rows.start)
     t, triads = desk.t[rest], {name: rates[rest] for name, rates in desk.triads.items()}
     temperature = None if desk.temperature is None else desk.temperature[rest]

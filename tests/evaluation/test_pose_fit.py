@@ -141,5 +141,7 @@ def test_five_poses_and_a_walk_are_refused_with_their_count(tmp_path):
 def test_gravity_has_no_use_in_one_pose(tmp_path):
     read, _ = turn_by_hand(FACES[:1], 3)
     write_table(tmp_path / "desk.csv", read)
-    with pytest.raises(ConfigError, match=r"rests in one pose: the gravity has no use; leave it out"):
+    with pytest.raises(ConfigError, match=r"rests in one pose, so --gravity has no effect; leave it out"):
         bench.measure_allan(log=tmp_path / "desk.csv", gravity=9.81)
+    with pytest.raises(ConfigError, match=r"--gravity is for a log with several poses"):
+        bench.measure_allan("stim300", gravity=9.81)

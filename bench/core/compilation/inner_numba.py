@@ -149,7 +149,7 @@ def summed_files() -> type:
         turn: Callable[[int], object]  # called with 1 and -1 when a wait for another process begins and ends
 
         def load(self, key: object) -> Any:
-            """Return the cached kernel; without one, lock it and look again: another process may have made it."""
+            """Return the cached kernel; without one, lock it and look again."""
             found = super().load(key)
             if found is None:
                 waits = self.is_compiled_elsewhere()
