@@ -82,9 +82,7 @@ def measure_allan(
         if log is None:
             raise ConfigError(f"{sheet}: a datasheet is fitted to a log; name it with --log")
     if gravity is not None and log is None:
-        raise ConfigError(
-            "--gravity is for a log with several poses: name it with --log, or leave --gravity out"
-        )
+        raise ConfigError("--gravity is for a log with several poses: add --log FILE, or leave it out")
     spec = None if unit is None else read_imu(*find_datasheet("imu", unit, Path()))
     if log is not None:
         measured = _measure_log(Path(log), spec, gravity)
