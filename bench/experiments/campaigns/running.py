@@ -206,15 +206,7 @@ def run_campaign(
             if folder is None
             else results.keep_folder(
                 folder,
-                (
-                    *list_files(folder),
-                    RUNS,
-                    EPOCHS,
-                    PRINTED,
-                    results.CAMPAIGN_RESULT,
-                    results.REPORT,
-                    results.RECORDING,
-                ),
+                (*list_files(folder), *_FILES),
                 results.CAMPAIGN,
                 force=force,
                 resume=resume,
