@@ -69,7 +69,8 @@ def test_on_windows_a_class_flies_unguarded_with_one_warning_and_a_program_keeps
         "--json",
         *SET,
     ]
-    env = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), str(tmp_path)])}
+    path = os.pathsep.join([str(ROOT), str(tmp_path)])
+    env = os.environ | {"PYTHONPATH": path, "TMPDIR": str(tmp_path)}  # others remove folders without locks
     done = subprocess.run(command, cwd=tmp_path, env=env, capture_output=True, text=True)
     assert "Traceback" not in done.stderr, done.stderr
     found = json.loads(done.stdout)
