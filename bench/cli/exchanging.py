@@ -21,6 +21,9 @@ if TYPE_CHECKING:
     from bench.io.streams.streaming import Streamed
 
 
+_WARMED = 2.0  # change of the temperature between poses that is reported [K]
+
+
 def measure_allan(
     unit: str | None = None,
     *,
@@ -119,6 +122,8 @@ def write_sheet(path: Path, measured: AllanResult) -> None:
 
 def _measure_log(log: Path, spec: ImuSpec | None, gravity: float | None) -> AllanResult:
     """Measure and fit a log of an IMU at rest, and compare it with a datasheet or the fit."""
+    import numpy as np
+
     from bench.core.mathematics.units import STANDARD_GRAVITY
     from bench.evaluation.motion import noise_curves, noise_fit, pose_fit
     from bench.io import parameters
@@ -146,6 +151,10 @@ def _measure_log(log: Path, spec: ImuSpec | None, gravity: float | None) -> Alla
     length = interval * len(t)
     span = f"{length / 3600.0:.3g} h" if length > 1000.0 else f"{length:.3g} s"
     record = f"{log.name}, {span} at {1.0 / interval:.4g} Hz"
+    warmth = 0.0 if desk.temperature is None else float(np.ptp(desk.temperature))
+    if poses and warmth > _WARMED:
+        also = f"the temperature changed by {warmth:.2g} K, and the biases with it"
+        poses[-1] = replace(poses[-1], missing="; ".join(filter(None, [poses[-1].missing, also])))
     if poses:
         record += f", and {poses[-1].count} poses in a gravity of {gravity or STANDARD_GRAVITY:g} m/s^2"
     return noise_curves.AllanResult(name, curves, spec, False, tuple(fits), fitted, record, tuple(poses))

@@ -149,9 +149,10 @@ def allan(unit: str | None, log: Path | None, **options: Any) -> int:
 
     FILE is a table (.csv, .parquet, .mat) of an IMU at rest, one row per sample. The columns are
     t_s, gyro_x_rad_s (or deg_s, deg_h), gyro_y_..., gyro_z_..., accel_x_m_s2 (or g, mg) and so on.
-    One of the two triads may be missing. The effect of temperature_degc is removed. If the IMU
-    rests in six poses or more for 5 s each, scale factors, misalignments and biases are
-    fitted, too, and the noise to the longest rest.
+    One of the two triads may be missing. The effect of temperature_degc on the noise is removed. If
+    the IMU rests for 5 s in each of six poses, 20 deg apart, bench also fits biases and scale factors of
+    the accelerometers; with nine poses, some tilted, also misalignments and the gyros. The noise is fitted
+    to the longest rest, which needs 1024 samples.
 
     \b
     Examples:

@@ -11,6 +11,7 @@ from bench.core.mathematics import rotation
 from bench.core.mathematics.units import STANDARD_GRAVITY
 from bench.core.words.exceptions import ConfigError
 from bench.evaluation.motion import pose_fit
+from bench.io.parameters.measured_sheet import make_measured_spec
 
 RATE = 100.0
 FACES = [(0, 0, 0), (90, 0, 0), (180, 0, 0), (270, 0, 0), (0, 90, 0), (0, -90, 0)]
@@ -19,7 +20,7 @@ TILTED = [*FACES, (45, 0, 0), (0, 45, 90), (135, 30, 0), (-45, -30, 60), (45, 45
 OFF = ~np.eye(3, dtype=bool)
 
 
-def turn_by_hand(poses, seed, *, gravity=STANDARD_GRAVITY, skew=2e-3):
+def turn_by_hand(poses, seed, *, gravity=STANDARD_GRAVITY, skew=2e-3, turn_s=(1.5, 3.0), shake=0.5):
     """Return an IMU's readings while it is turned from pose to pose, and its errors.
 
     The turns are constant rotation vectors from one attitude to the next, with a shake of the hand.
@@ -29,13 +30,13 @@ def turn_by_hand(poses, seed, *, gravity=STANDARD_GRAVITY, skew=2e-3):
     rates, course = [np.zeros((round(30.0 * RATE), 3))], [np.tile(q[0], (round(30.0 * RATE), 1))]
     for first, second in itertools.pairwise(q):
         phi = rotation.to_rotvec(rotation.multiply(rotation.conjugate(first), second))
-        n = int(rng.uniform(1.5, 3.0) * RATE)
+        n = int(rng.uniform(*turn_s) * RATE)
         rates += [np.tile(phi * RATE / n, (n, 1)), np.zeros((round(6.0 * RATE), 3))]
         turned = rotation.from_rotvec(phi * np.arange(n)[:, None] / n)
         course += [rotation.multiply(first, turned), np.tile(second, (round(6.0 * RATE), 1))]
     w = np.concatenate(rates)
     force = rotation.rotate(rotation.conjugate(np.concatenate(course)), np.array([0.0, 0.0, -gravity]))
-    force += (w != 0).any(axis=1)[:, None] * rng.normal(size=w.shape) * 0.5
+    force += (w != 0).any(axis=1)[:, None] * rng.normal(size=w.shape) * shake
     angles = rng.normal(size=3) * skew
     yz, zx, xy = 0.5 * angles
     M_accel = np.array([[0, xy, zx], [xy, 0, yz], [zx, yz, 0]])
@@ -100,6 +101,26 @@ def test_six_faces_give_scale_and_bias_and_claim_no_more():
     assert found["accel"].scale_half.max() < 1e-3
 
 
+def test_slow_turns_are_no_rests():
+    """Turns of 0.3 to 4 deg/s scatter as a rest does; a block of one within a rest would tilt its pose."""
+    hits = []
+    for seed in range(10):
+        read, errors = turn_by_hand(TILTED, seed, turn_s=(40.0, 200.0), shake=0.0)
+        rests = pose_fit.find_rests(read, 1 / RATE)
+        assert [one.stop - one.start < 3050 for one in rests] == [True] * len(TILTED)
+        hits.append(list_hits(fit(read)[1]["accel"], errors["accel"]).mean())
+    assert np.mean(hits) > 0.8
+
+
+def test_gyros_that_contradict_the_poses_are_left_out_with_their_reason():
+    read, _ = turn_by_hand(TILTED, 4)
+    for wrong in (read["gyro"][:, [1, 0, 2]], -read["gyro"], np.rad2deg(read["gyro"])):
+        (one,) = fit({**read, "gyro": wrong})[1].values()
+        assert one.missing.startswith("gyros not fitted: 11 turns do not rotate gravity from pose to pose")
+    slow, _ = turn_by_hand(TILTED, 4, turn_s=(40.0, 50.0), shake=0.0)
+    assert fit(slow)[1]["accel"].missing.startswith("gyros not fitted: 0 of 11 turns have 20 deg")
+
+
 def test_gravity_is_the_scale_of_the_accelerometers():
     """By hand: a gravity taken 0.2 % too large makes every scale factor 0.2 % too small."""
     read, errors = turn_by_hand(TILTED, 5, gravity=9.787)
@@ -108,9 +129,11 @@ def test_gravity_is_the_scale_of_the_accelerometers():
     assert (1 + wrong) * 1.002 == pytest.approx(1 + right, abs=1e-6)
 
 
-def write_table(path, read):
+def write_table(path, read, degc=None):
     names = [f"{of}_{axis}_{unit}" for of, unit in (("gyro", "rad_s"), ("accel", "m_s2")) for axis in "xyz"]
     rows = np.column_stack([np.arange(len(read["gyro"])) / RATE, read["gyro"], read["accel"]])
+    if degc is not None:
+        names, rows = [*names, "temperature_degc"], np.column_stack([rows, degc])
     np.savetxt(path, rows, delimiter=",", header=",".join(["t_s", *names]), comments="")
 
 
@@ -119,7 +142,7 @@ def test_a_record_of_poses_becomes_a_datasheet(tmp_path, monkeypatch, capsys):
     read, errors = turn_by_hand(TILTED, 7)
     write_table(tmp_path / "poses.csv", read)
     assert main(["allan", "--log", "poses.csv", "--gravity", "9.80665"]) == 0
-    assert "accel, 12 poses (95 %): bias " in capsys.readouterr().out
+    assert "accel, 12 poses 20 deg apart (95 %): bias " in capsys.readouterr().out
     sheet = bench.read_profile("figure-eight", {"sensors.imu": "unit-poses.toml"}).sensors.imu
     for triad, (scale, angles, bias) in errors.items():
         one = getattr(sheet, triad)
@@ -127,6 +150,31 @@ def test_a_record_of_poses_becomes_a_datasheet(tmp_path, monkeypatch, capsys):
         for got, put in ((one.scale_factor_sd, scale), (angle, angles), (one.turn_on_bias_sd, bias)):
             assert got == pytest.approx(np.sqrt(np.mean(put**2)), rel=0.2)
     assert "Not measured: range" in (tmp_path / "unit-poses.toml").read_text()
+
+
+def test_an_error_that_is_not_significant_is_not_in_the_sheet(tmp_path):
+    read, errors = turn_by_hand(TILTED, 7, skew=0.0)
+    write_table(tmp_path / "poses.csv", read)
+    fits = bench.measure_allan(log=tmp_path / "poses.csv").fits
+    sheet = make_measured_spec("mine", fits, list(fit(read)[1].values()))
+    assert sheet.accel.nonorthogonality_sd == 0.0
+    assert sheet.accel.turn_on_bias_sd == pytest.approx(np.sqrt(np.mean(errors["accel"][2] ** 2)), rel=0.2)
+
+
+def test_a_saturated_axis_is_refused(tmp_path):
+    read, _ = turn_by_hand(TILTED, 7)
+    write_table(tmp_path / "poses.csv", {**read, "gyro": np.clip(read["gyro"], -0.3, 0.3)})
+    with pytest.raises(ConfigError, match=r"gyro_[xyz] is -?0.3 rad/s, the end .* it seems saturated"):
+        bench.measure_allan(log=tmp_path / "poses.csv")
+
+
+def test_a_change_of_temperature_between_poses_is_said(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    read, _ = turn_by_hand(TILTED, 7)
+    for change, said in ((1.0, False), (5.0, True)):
+        write_table(tmp_path / "poses.csv", read, np.linspace(20.0, 20.0 + change, len(read["gyro"])))
+        assert main(["allan", "--log", "poses.csv", "--force"]) == 0
+        assert ("the temperature changed by 5 K, and the biases with it" in capsys.readouterr().out) == said
 
 
 def test_five_poses_and_a_walk_are_refused_with_their_count(tmp_path):

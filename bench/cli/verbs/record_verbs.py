@@ -238,14 +238,17 @@ def measure_allan(
     outside = f"{measured.outside} of {measured.points} values lie outside their 99.9 % band{mark}."
     sentences = [*fits, f"picture: {picture}", *([outside] if measured.simulated else [])]
     if beside is not None and not measured.fits:
-        sentences.append(f"no datasheet: a fit needs {FEWEST} samples or more at rest in one pose")
+        needs = f"a fit needs {FEWEST} samples or more at rest in one pose"
+        sentences.append(f"no datasheet: {needs}; found {measured.record}")
     white = {fit.triad: fit.estimates["random_walk"].low for fit in measured.fits}
     sentences += [_doubt_unit(triad) for triad, least in white.items() if least > _MOST[triad]]
+    if measured.poses and gravity is None:
+        sentences.append("gravity 9.80665 m/s^2 assumed (--gravity): 0.1 % off is 1000 ppm of scale factor")
     if sheet is not None:
         if not measured.poses:
             sentences.append(
                 "not in the datasheet: turn-on bias, scale factor, misalignment; add them from the "
-                "maker's, or record six poses"
+                "maker's datasheet, or record six poses or more"
             )
         sentences.append(
             f"datasheet: {sheet}; next: bench run figure-eight --set sensors.imu={quote(str(sheet))}"
@@ -256,12 +259,15 @@ def measure_allan(
 
 
 _MOST = {"gyro": np.deg2rad(5.0) / 60.0, "accel": 0.02}
-"""White noise [unit/sqrt(s)] above five times that of any IMU of the catalog."""
+"""Five times the white noise of any IMU of the catalog [unit/sqrt(s)]."""
 
 
 def _doubt_unit(triad: str) -> str:
     used = {"gyro": "rad/s, or deg/s", "accel": "m/s^2, or g"}[triad]
-    return f"{triad}: more white noise than any IMU of the catalog (!): are its columns in {used}?"
+    return (
+        f"{triad}: more than 5 times the white noise of any IMU of the catalog (!): did it vibrate, and are "
+        f"its columns in {used}?"
+    )
 
 
 def convert_unit(unit: str, *, to: str | None, console: Console, **options: Any) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -28,9 +28,14 @@ _LONGEST_TURN = 30.0  # [s]
 _APART = np.deg2rad(20.0)  # between two poses that count as two
 _BLOCK, _SHORTEST = 0.5, 2.0  # of the search for rests, and shortest rest [s]
 _QUIET = 3.0  # times the scatter of a quiet block
-_TURNING = 0.02  # smallest rate of a turn [rad/s]
+_SURE = 6.0  # standard errors of a block within which it does not move
+_DRIFTS = {"gyro": 1e-3, "accel": 2e-3}
+"""What a bias may drift in a rest [rad/s; m/s^2]; more is motion."""
 _FEWEST_SPARE = 3  # equations more than unknowns from which their residuals give the interval
-_VAGUE = 0.1  # half interval of a scale factor beyond which it is not determined
+_VAGUE = 0.02  # half interval of a scale factor beyond which the turns do not fit
+_NO_ANGLES = (
+    "misalignments not determined, so gyros not fitted: record nine poses or more, some tilted by 45 deg"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +52,7 @@ class PoseFit:
     bias: FloatArray  # (3,) [unit]
     bias_half: FloatArray
     count: int  # poses, or turns
+    missing: str = ""  # what was not determined, and why
 
 
 def find_rests(triads: Mapping[str, FloatArray], step: float) -> list[slice]:
@@ -62,25 +68,39 @@ def find_rests(triads: Mapping[str, FloatArray], step: float) -> list[slice]:
     many = max(4, round(_BLOCK / step))
     count = len(next(iter(triads.values()))) // many
     quiet: BoolArray = np.ones(count, np.bool_)
+    means, errors = dict[str, FloatArray](), dict[str, FloatArray]()
     for name, rates in triads.items():
         blocks = rates[: count * many].reshape(count, many, 3)
         scatter = np.sqrt(blocks.var(axis=1).sum(axis=1))
-        still = scatter <= _QUIET * np.quantile(scatter, 0.2)
-        if name == "gyro":
-            means = blocks.mean(axis=1)
-            still &= np.linalg.norm(means - np.median(means[still], axis=0), axis=1) < _TURNING
-        quiet &= still
-    edges = np.diff(np.concatenate(([0], quiet.astype(np.int64), [0])))
+        quiet &= scatter <= _QUIET * np.quantile(scatter, 0.2)
+        means[name], errors[name] = blocks.mean(axis=1), _SURE * scatter / np.sqrt(many)
+    if "accel" in means:
+        change = np.linalg.norm(np.diff(means["accel"], axis=0), axis=1)
+        turned = change > _DRIFTS["accel"] + np.sqrt(2.0) * errors["accel"][1:]
+        quiet[1:] &= ~turned
+        quiet[:-1] &= ~turned
+    for _ in range(3):  # what a slow turn adds up to shows beside the middle of its rest
+        for first, last in _list_runs(quiet):
+            rest = slice(first, last)
+            for name, mean in means.items():
+                away = np.linalg.norm(mean[rest] - np.median(mean[rest], axis=0), axis=1)
+                quiet[rest] &= away < _DRIFTS[name] + errors[name][rest]
     found = []
-    for first, last in zip(np.flatnonzero(edges > 0), np.flatnonzero(edges < 0), strict=True):
+    for first, last in _list_runs(quiet):
         start, stop = first + (first > 0), last - (last < count)
         if (stop - start) * many * step >= _SHORTEST:
             found.append(slice(int(start) * many, int(stop) * many))
     return found
 
 
+def _list_runs(quiet: BoolArray) -> list[tuple[int, int]]:
+    """Return the first block of each run of quiet blocks, and the block after it."""
+    edges = np.diff(np.concatenate(([0], quiet.astype(np.int64), [0])))
+    return list(zip(np.flatnonzero(edges > 0).tolist(), np.flatnonzero(edges < 0).tolist(), strict=True))
+
+
 def count_poses(forces: Iterable[FloatArray]) -> int:
-    """Return how many of the specific forces (3,) have another direction than those before."""
+    """Return the number of poses: specific forces (3,) at least 20 deg apart."""
     kept: list[FloatArray] = []
     for one in (force / np.linalg.norm(force) for force in forces):
         if all(one @ other < np.cos(_APART) for other in kept):
@@ -109,13 +129,16 @@ def fit_poses(
     errors = np.array([_find_error(accel[one], mean, step) for one, mean in zip(rests, means, strict=True)])
     found, matrix = _fit_accel(means, errors, gravity or STANDARD_GRAVITY)
     force = np.asarray(np.linalg.solve(matrix, (means - found.bias).T).T)
-    known = "gyro" in triads and len(found.angles) > 0  # else the directions are skewed, and so would be M
-    gyro = _fit_gyro(triads["gyro"], rests, force, step) if known else None
-    return [found] if gyro is None else [gyro, found]
+    if not len(found.angles):
+        return [replace(found, missing=_NO_ANGLES)]
+    if "gyro" not in triads:
+        return [found]
+    gyro = _fit_gyro(triads["gyro"], rests, force, step)
+    return [replace(found, missing=gyro)] if isinstance(gyro, str) else [gyro, found]
 
 
 def _find_error(rates: FloatArray, mean: FloatArray, step: float) -> float:
-    """Return the standard error of the size of the mean (3,) of the rows of a rest."""
+    """Return the standard error of the magnitude of the mean (3,) of a rest."""
     many = max(1, min(round(_BLOCK / step), len(rates) // 4))
     sizes = (
         (rates[: len(rates) // many * many] @ (mean / np.linalg.norm(mean))).reshape(-1, many).mean(axis=1)
@@ -145,15 +168,15 @@ def _fit_accel(means: FloatArray, errors: FloatArray, gravity: float) -> tuple[P
 
 
 def _find_half(jacobian: FloatArray, residuals: FloatArray, spare: int) -> FloatArray:
-    """Return half of the 95 % intervals; the residuals widen them where there are equations to spare."""
+    """Return half of the 95 % intervals; three redundant equations or more scale them by the residuals."""
     sd = np.sqrt(np.diag(np.linalg.pinv(jacobian.T @ jacobian)))
     if spare < _FEWEST_SPARE:
         return np.asarray(norm.ppf(0.975) * sd)
     return np.asarray(t.ppf(0.975, spare) * sd * max(1.0, np.sqrt(residuals @ residuals / spare)))
 
 
-def _fit_gyro(gyro: FloatArray, rests: Sequence[slice], force: FloatArray, step: float) -> PoseFit | None:
-    """Return the errors of the gyros, or None where the turns do not determine them."""
+def _fit_gyro(gyro: FloatArray, rests: Sequence[slice], force: FloatArray, step: float) -> PoseFit | str:
+    """Return the errors of the gyros, or why the turns do not determine them."""
     down = force / np.linalg.norm(force, axis=1, keepdims=True)
     means = np.array([gyro[one].mean(axis=0) for one in rests])
     weights = np.array([one.stop - one.start for one in rests], float)
@@ -165,7 +188,10 @@ def _fit_gyro(gyro: FloatArray, rests: Sequence[slice], force: FloatArray, step:
     ]
     spare = 2 * len(turns) - 9
     if len(turns) < _FEWEST_TURNS:
-        return None
+        return (
+            f"gyros not fitted: {len(turns)} of {len(rests) - 1} turns have 20 deg and take up to "
+            f"{_LONGEST_TURN:g} s, {_FEWEST_TURNS} are needed"
+        )
     x = np.zeros(9)
     for _ in range(5):
         parts = [
@@ -185,7 +211,10 @@ def _fit_gyro(gyro: FloatArray, rests: Sequence[slice], force: FloatArray, step:
     scatter = max(float(misses @ misses) / spare, 1e-14)
     half = t.ppf(0.975, spare) * np.sqrt(np.diag(np.linalg.pinv(slopes.T @ slopes)) * scatter)
     if not half.max() < _VAGUE:
-        return None
+        return (
+            f"gyros not fitted: {len(turns)} turns do not rotate gravity from pose to pose; check sign, unit "
+            "and order of their axes, and saturation"
+        )
     matrix, halves, off = x.reshape(3, 3), half.reshape(3, 3), ~np.eye(3, dtype=bool)
     scatter_bias = means.std(axis=0, ddof=1) / np.sqrt(len(means)) * t.ppf(0.975, len(means) - 1)
     diagonals = np.diag(matrix), np.diag(halves)

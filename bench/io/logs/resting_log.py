@@ -27,6 +27,7 @@ _MOVED = {"gyro": (0.05, "rad/s"), "accel": (0.5, "m/s^2")}
 _LONGEST_STEP = 1.0  # [s]
 _STUCK = 0.1  # part of a record in which an axis does not change
 _FINE = 0.58  # scatter over step of a rounded axis: where its noise is half a step, noise and rounding add up
+_MANY, _CLIPPED = 50, 0.005  # distinct values, and part of them at an end, from which an axis is saturated
 _FEW = 200  # distinct values below which an axis may be rounded
 _ONE = 0.1  # distance of the mean specific force from 1 within which it is in g
 _TEMPERATURE = {"temperature": (group("temperature", "temperature"),)}
@@ -99,12 +100,13 @@ def _find_rests(triads: Mapping[str, FloatArray], step: float, shown: str) -> tu
         axis = int(np.argmax(means.std(axis=0)))
         if (sd := float(means[:, axis].std())) > most:
             rests = tuple(find_rests(triads, step))
+            lacks = "" if "accel" in triads else ", without accelerometers"
             poses = count_poses([triads["accel"][one].mean(axis=0) for one in rests if "accel" in triads])
             if poses < FEWEST_POSES:
                 raise ConfigError(
                     f"{shown}: {name}_{'xyz'[axis]} moves: its means over 1 s have a standard deviation of "
                     f"{sd:.2g} {unit}, expected {most:g} or less; record the IMU at rest, or for 5 s in each "
-                    f"of {FEWEST_POSES} poses (found: {poses})"
+                    f"of {FEWEST_POSES} poses 20 deg apart (found: {poses}{lacks})"
                 )
             break
     if "accel" in triads:
@@ -127,7 +129,13 @@ def _check_values(name: str, rates: FloatArray, shown: str) -> None:
         if last - first + 1 > _STUCK * len(column):
             what = f"{name}_{axis} does not change from row {first} to {last}"
             raise ConfigError(f"{shown}: {what}; cut the record there, or leave the {name} columns out")
-        values = np.unique(column)
+        values, counts = np.unique(column, return_counts=True)
+        if len(values) > _MANY and max(counts[0], counts[-1]) > max(20, _CLIPPED * len(column)):
+            k = 0 if counts[0] > counts[-1] else -1
+            raise ConfigError(
+                f"{shown}: {name}_{axis} is {values[k]:.6g} {_MOVED[name][1]}, the end of its values, in "
+                f"{counts[k]} of {len(column)} rows: it seems saturated; record with a larger range"
+            )
         step = float(np.median(np.diff(values))) if len(values) < _FEW else 0.0
         if (sd := float(np.diff(column).std()) / np.sqrt(2.0)) < _FINE * step:
             what = f"{name}_{axis} has steps of {step:.3g}, and scatters by {sd:.2g} {_MOVED[name][1]} only"

@@ -34,11 +34,16 @@ _PAIRS = {"accel": "yz, zx, xy", "gyro": "xy, xz, yx, yz, zx, zy"}
 
 
 def make_measured_spec(name: str, fits: Sequence[NoiseFit], poses: Sequence[PoseFit] = ()) -> ImuSpec:
-    """Return the datasheet with the fitted figures of each triad; errors by axis enter with their rms."""
+    """Return the datasheet with the fitted figures of each triad; errors by axis enter with their rms.
+
+    An error is not in the datasheet if the intervals of all its axes contain 0.
+    """
     triads = {fit.triad: fit.make_triad() for fit in fits}
     for one in poses:
         figures: dict[str, Any] = {
-            field: float(np.sqrt(np.mean(values**2))) for field, values, _ in _list_errors(one)
+            field: float(np.sqrt(np.mean(values**2)))
+            for field, values, halves in _list_errors(one)
+            if (np.abs(values) > halves).any()
         }
         triads[one.triad] = replace(triads[one.triad], **figures)
     return ImuSpec(name, triads.get("gyro", TriadSpec()), triads.get("accel", TriadSpec()))
@@ -79,13 +84,13 @@ def summarize_fit(fit: NoiseFit) -> str:
 
 def summarize_poses(one: PoseFit) -> str:
     """Return one line with scale factors, misalignments and biases, and their 95 % intervals."""
-    known = "poses" if one.triad == "accel" else "turns"
+    known = "poses 20 deg apart" if one.triad == "accel" else "turns"
     words = {"scale_factor_sd": "scale factor", "turn_on_bias_sd": "bias"}
     texts = [
         f"{words.get(field, 'misalignment')} {_describe_axes(one.triad, field, values, halves)}"
         for field, values, halves in _list_errors(one)
     ]
-    missing = [] if len(one.angles) else ["misalignments and gyros need nine poses or more, some tilted"]
+    missing = [one.missing] if one.missing else []
     return f"{one.triad}, {one.count} {known} (95 %): " + "; ".join([*texts, *missing])
 
 
