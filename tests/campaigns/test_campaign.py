@@ -468,6 +468,18 @@ def test_after_kill_9_resume_gives_the_same_tables(here):
     assert same(here / "two", here / "killed")
 
 
+def test_a_damaged_line_is_repeated_and_said(here, capsys):
+    shutil.copytree(here / "two", here / "bitten")
+    lines = (here / "bitten" / NAME).read_bytes()
+    (here / "bitten" / NAME).write_bytes(lines.replace(b"metrics", b"metricz", 1))
+    again = ["campaign", "short.toml", "--runs", "4", "--seed=8", "--resume", "--jobs", "1"]
+    again += [f"--set={key}={value}" for key, value in OPTIONS["overrides"].items()]
+    for folder, said in (("bitten", True), ("two", False)):
+        assert main([*again, "-o", folder]) == 0
+        assert ("Journal: 1 lines or parts were damaged" in capsys.readouterr().out) == said
+    assert same(here / "two", here / "bitten")
+
+
 def test_a_full_disk_keeps_what_is_finished(here, monkeypatch, capsys):
     real, ends = os.pwrite, list[int]()
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -141,6 +142,20 @@ def test_a_damaged_part_is_repeated_or_named(tmp_path):
         pytest.raises(ConfigError, match=r"00001.parquet: damaged; remove it"),
     ):
         journal["cell-7"]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="there are no pipes in folders")
+def test_a_pipe_in_place_of_a_file_is_refused_and_not_waited_for(tmp_path):
+    for name in (NAME, "journal-00001.parquet"):
+        path = tmp_path / name
+        os.mkfifo(path)
+        with pytest.raises(ConfigError, match=rf"{name}: not a regular file"):
+            Journal(tmp_path / NAME)
+        path.unlink()
+        path.symlink_to("/dev/zero")
+        with pytest.raises(ConfigError, match=rf"{name}: not a regular file"):
+            Journal(tmp_path / NAME)
+        path.unlink()
 
 
 def test_a_part_of_a_stranger_with_a_row_that_no_run_writes_is_named(tmp_path):

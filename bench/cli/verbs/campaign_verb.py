@@ -122,6 +122,8 @@ def print_campaign(console: Console, result: Campaign, *, table: bool = False) -
     _print_failures(console, lost, f"conditions have such runs; {results.CAMPAIGN_RESULT} says why.")
     failures = [f"failed: {reason}; {command}" for command, reason in result.failed.items()]
     _print_failures(console, failures, "failed.")
+    if result.damaged:
+        console.print(f"Journal: {result.damaged} lines or parts were damaged; their runs were repeated.")
     missing = result.planned - result.finished
     done = f"{result.finished} of {result.planned} runs" if missing else f"{result.finished} runs"
     if not table:

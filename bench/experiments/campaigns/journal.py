@@ -19,7 +19,7 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
-from bench.core.files import durable
+from bench.core.files import durable, file_checks
 from bench.core.mathematics.arrays import IntArray
 from bench.evaluation.metrics.run_metrics import find_metric
 from bench.experiments.campaigns import parts
@@ -37,6 +37,7 @@ def list_files(folder: Path) -> list[str]:
 
 
 _DIGITS = 16  # of the checksum
+_LARGEST = 4_000_000_000  # journal: a thousand runs, each of 1 MB, and room [byte]
 _MOST = 1e15  # no number of a run is larger
 _UNSYNCED = 1.0  # longest time until a line is on the disk, if more come [s]
 
@@ -92,6 +93,11 @@ class Journal:
     """The finished runs of a campaign by key, with the rows on disk; leaving the context closes the file.
 
     If a run has several rows, the last one counts.
+
+    Raises
+    ------
+    ConfigError
+        If the journal is not a regular file.
     """
 
     def __init__(self, path: Path) -> None:
@@ -102,6 +108,8 @@ class Journal:
         self._synced = time.monotonic()
         self._parts = parts.Parts(path.parent, _check)
         self.damaged = self._parts.damaged  # lines and parts that do not count
+        if path.exists():
+            file_checks.check_file(path, str(path), _LARGEST)
         self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_BINARY", 0), 0o666)
         with path.open("rb") as file:
             for line in file:

@@ -249,6 +249,8 @@ class Campaign:
         Folder of the tables.
     estimator_cpu_s : mapping
         Filter -> CPU time of each finished run [s].
+    damaged : int
+        Damaged lines and parts of the journal that was continued; their runs were repeated.
     """
 
     outcomes: tuple[Outcome, ...]
@@ -264,6 +266,7 @@ class Campaign:
     interrupted: bool
     folder: Path | None
     estimator_cpu_s: Mapping[str, Sequence[float]] = field(default_factory=dict)
+    damaged: int = 0
 
     @property
     def sentences(self) -> tuple[str, ...]:

@@ -406,6 +406,7 @@ def _finish(
         estimator_cpu_s=used,
         interrupted=interrupted,
         folder=folder,
+        damaged=journal.damaged,
     )
     results.write_json(place / results.CAMPAIGN_RESULT, describe(result))
     return result

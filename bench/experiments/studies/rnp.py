@@ -117,7 +117,7 @@ class Options(UnitOptions):
     """flights, each with its own noise and turbulence"""
     hours: Positive | None = None
     """smallest number of flight hours, instead of --runs [h]"""
-    rare_runs: Annotated[int, Field(ge=LEAST)] | None = None
+    rare_runs: Annotated[int, Field(ge=LEAST, le=10_000)] | None = None
     """runs of each level of a subset simulation of errors beyond the alert limits; 200 is a start"""
 
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bench.core.files import durable
+from bench.core.files import durable, file_checks
 from bench.core.mathematics.arrays import IntArray
 
 if TYPE_CHECKING:
@@ -177,9 +177,10 @@ def _encode(values: Any) -> str | None:
 
 
 def _open(path: Path, most: int) -> pq.ParquetFile:
-    """Open a part; ValueError if it is larger than a part can be."""
+    """Open a part; ConfigError if it is no file, ValueError if it is larger than a part can be."""
     import pyarrow.parquet as pq
 
+    file_checks.check_file(path, str(path), _LARGEST)
     file = pq.ParquetFile(path, page_checksum_verification=True)
     found = file.metadata
     size = sum(found.row_group(k).total_byte_size for k in range(found.num_row_groups))
