@@ -10,8 +10,8 @@ UV := .uv/$(PROGRAMS)/uv
 comma := ,
 PIP := -m pip install --quiet --disable-pip-version-check --no-compile
 FETCH_UV := $(PYTHON) $(PIP) --upgrade --target .uv --require-hashes --requirement requirements-uv.lock
-# install into .venv: with the uv of the machine, else with one that pip fetches, for it takes a third of the time;
-# with pip if there is no uv or it fails, as behind an index that only the settings of pip name
+# install into .venv: with uv, which takes a third of the time of pip and is fetched if the machine has none;
+# with pip if uv fails, for example where only the settings of pip name the index
 install = echo "Installing into .venv: $(1)"; { uv=$$(command -v uv) || { uv=$(UV); test -x $$uv || $(FETCH_UV); }; } 2>/dev/null && \
 	$$uv venv --quiet --allow-existing --seed --python $(PYTHON) .venv && \
 	$$uv pip install --quiet --python $(BIN)/python $(1) || { \

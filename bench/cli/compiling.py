@@ -17,11 +17,10 @@ from bench.navigation.built_in import BUILT_IN
 
 @contextlib.contextmanager
 def compile_beside(profile: Profile) -> Iterator[None]:
-    """Meanwhile compile the kernels of a profile in a second process, if the filters are not compiled yet.
+    """Compile the kernels of a profile in a second process during the block, if they are not compiled yet.
 
-    Both processes take kernels that the other does not compile at the moment
-    (`bench.core.compilation.kernel_locks`). What the second one does not achieve, this one does. It ends
-    with the block, and with this process.
+    Each process takes kernels that the other one is not compiling (`bench.core.compilation.kernel_locks`).
+    The second process ends with the block, or with this process, which compiles what remains.
     """
     own = tuple(choice for choice in profile.estimators if choice.use in BUILT_IN)
     done = [choose_cache() / f"{choice.use}.compiled" for choice in own]

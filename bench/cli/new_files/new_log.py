@@ -135,7 +135,7 @@ def new_log(name: str, *, console: Console, rates: str | None = None) -> None:
                 console.print(f"  {line}", soft_wrap=True, markup=False)
     if "gnss" not in found:
         console.print("No columns of a GNSS receiver: only attitude is estimated.", soft_wrap=True)
-    console.print(f"Wrote {log}. Check its lines with a question.")
+    console.print(f"Wrote {log}. Check the lines with a question mark.")
     console.print(f"Next: bench navigate {log}")
 
 
@@ -181,7 +181,7 @@ def _write_flight(path: Path, form: str, log: Path, console: Console) -> None:
         console.print(f"  {line}", soft_wrap=True)
     if start is not None and start.until is not None:
         console.print(f"  it tumbles and lies still: evaluated until {start.until:.1f} s", soft_wrap=True)
-    console.print(f"Wrote {log}. Check its lines with a question.", soft_wrap=True)
+    console.print(f"Wrote {log}. Check the lines with a question mark.", soft_wrap=True)
     console.print(f"Next: bench navigate {log}", soft_wrap=True)
 
 

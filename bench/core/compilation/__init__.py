@@ -1,1 +1,1 @@
-"""The door to numba: kernels, and rows of matrices."""
+"""Numba kernels, and rows of matrices."""

@@ -1,4 +1,4 @@
-"""The door to numba: ``@kernel``, and the folder where compiled code is cached.
+"""Numba kernels: the decorator ``@kernel``, and the folder where compiled code is cached.
 
 numba is imported when the first kernel is called: that takes a third of a second. Its own cache does not
 detect a change in another module and would return stale results. The name of the cache folder is therefore a

@@ -1,4 +1,4 @@
-"""Runs between runs: the normal noise of a run moved some way towards the noise of others."""
+"""Runs whose normal noise is a mixture of the noise of other runs, for Markov chains over noise."""
 
 from __future__ import annotations
 

@@ -77,7 +77,7 @@ class Stages:
         self._show(replace(self._now, compiling=busy))
 
     def find(self, found: str) -> None:
-        """Tell what has become known, before the end of the call."""
+        """Report a result that is known before the end of the call."""
         self._progress(replace(self._now, found=found))
 
     def _show(self, stage: Stage) -> None:

@@ -1,10 +1,11 @@
 """Probability of an event too rare for plain runs, by subset simulation.
 
-The event, a value above a limit, is reached by levels, each of which a tenth of the runs of the level before
-exceeds. The runs of a level are Markov chains that begin at these: a chain moves the noise of its run some
-way towards fresh noise (`MovedRun`) and stays where the value would fall below the level. The probability is
-the product of the shares. The interval is that of Student for the logarithms of independent repetitions,
-because the formulas for one of them leave out what its chains have in common.
+The event is a value above a limit. Thresholds lead to it: each is exceeded by a tenth of the runs above the
+threshold before. The runs above a threshold continue as Markov chains: a chain moves the noise of its run
+some way towards fresh noise (`MovedRun`), and does not move where the value would fall below the threshold.
+The probability is the product of the conditional probabilities. Its interval follows from the logarithms of
+independent repetitions by Student's distribution, because formulas for a single one ignore the correlation
+of its chains.
 
 Sources: Au, Beck, Probabilistic Engineering Mechanics 16 (2001) 263-277; for the moves and their adaptation,
 Papaioannou, Betz, Zwirglmaier, Straub, Probabilistic Engineering Mechanics 41 (2015) 89-103.
@@ -23,21 +24,21 @@ from bench.core.mathematics.moved_runs import MovedRun
 from bench.evaluation.ensembles.ensemble import Estimate, estimate_rate
 
 LEVELS = 12
-"""Most levels: probabilities down to 1e-12."""
+"""Largest number of thresholds: probabilities down to 1e-12."""
 
 REPETITIONS = 5
-"""Independent estimates of which the interval is."""
+"""Number of independent estimates from which the interval is computed."""
 
 _SHARE = 10  # one of so many runs exceeds a level
-_ACCEPTED = 0.44  # fraction of the moves that are aimed at
+_ACCEPTED = 0.44  # fraction of the moves that the step is adapted to
 
 
 @dataclass(frozen=True, slots=True)
 class RareEvent:
-    """The probability of an event, and what it took."""
+    """The probability of an event, and the runs from which it is estimated."""
 
     probability: Estimate
-    levels: tuple[int, ...]  # number of levels of each repetition
+    levels: tuple[int, ...]  # thresholds of each repetition
     runs: int
 
 
@@ -57,14 +58,14 @@ def simulate_subsets(
         Returns the values (N,) of N runs, a function of their noise; NaN counts as infinite.
     limit : float
     size : int
-        Runs of each level and repetition, at least 20.
+        Runs above each threshold in each repetition, at least 20.
     first : int
         Number of the first run; the same number gives the same bits.
 
     Returns
     -------
     RareEvent
-        Its interval misses ways to the event that no chain has found.
+        The interval does not cover causes of the event that no chain has found.
     """
     from scipy.special import stdtrit
 

@@ -19,7 +19,8 @@ from bench.experiments.campaigns.plan import Cell, Condition, Plan, PlannedRun
 from bench.experiments.campaigns.worker import CHANNELS, MOST_INSTANTS, decode, shorten_numbers
 
 MOST_EXACT = 2000
-"""Runs of a condition that keep `MOST_INSTANTS` epochs each; of more runs, each keeps `FEW_INSTANTS`."""
+"""Largest number of runs of a condition that keep `MOST_INSTANTS` epochs each; with more runs, each keeps
+`FEW_INSTANTS`."""
 
 MOST_KEPT = MOST_EXACT * MOST_INSTANTS
 """Epochs of all runs of a group that are kept in memory; beyond, percentiles come from fixed bins."""
@@ -39,14 +40,14 @@ _POOLED = (
     "nis_mean",
     "updates_",
 )
-"""Begin of the numbers over which the statistics of a group are."""
+"""Prefixes of the metrics that enter the statistics of a group."""
 
 Done = Iterable[tuple[PlannedRun, Mapping[str, Any]]]
 """Finished runs with their rows of the journal."""
 
 
 class PooledMetrics(Mapping[str, Any]):
-    """The metrics of one of very many runs over which the statistics are: half a kB."""
+    """The metrics of a run that enter the statistics, in half a kB, for campaigns of very many runs."""
 
     __slots__ = ("_names", "_values", "_words")
 

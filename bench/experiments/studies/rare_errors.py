@@ -17,7 +17,7 @@ from bench.evaluation.requirements.share_test import MET, UNDECIDED
 from bench.experiments.studies.stanford import PLANES
 
 LEAST = 20
-"""Fewest runs of a level."""
+"""Fewest runs above a threshold."""
 
 _FIRST = 1_000_000  # number of the first run: no plain run has its noise
 
@@ -35,9 +35,10 @@ class RareErrors:
 def find_rare_errors(
     measure: Callable[[Sequence[MovedRun]], FloatArray], limits: Sequence[float], size: int, hours: float
 ) -> Iterator[RareErrors]:
-    """Yield how often the largest error of a flight exceeds its limit, horizontal and vertical.
+    """Yield the rate of flights whose largest horizontal or vertical error exceeds its alert limit.
 
-    An error beyond the limit with an alert is no hazard, so a rate that is too high decides nothing.
+    The rate is an upper bound of the integrity risk, because errors with an alert are counted, too. If it is
+    too high, the requirement is undecided and not missed.
 
     Parameters
     ----------
@@ -46,7 +47,7 @@ def find_rare_errors(
     limits : sequence of float
         Alert limits, horizontal and vertical [m].
     size : int
-        Runs of each level.
+        Runs above each threshold.
     hours : float
         Duration of a flight [h].
     """

@@ -118,7 +118,7 @@ class Options(UnitOptions):
     hours: Positive | None = None
     """smallest number of flight hours, instead of --runs [h]"""
     rare_runs: Annotated[int, Field(ge=LEAST, le=10_000)] | None = None
-    """runs of each level of a subset simulation of errors beyond the alert limits; 200 is a start"""
+    """runs above each threshold of a subset simulation of errors beyond the alert limits, such as 200"""
 
 
 @dataclass(frozen=True, slots=True)

@@ -127,12 +127,12 @@ def fusion_kernel(
 ) -> None:
     """Run the filter over a piece of a record.
 
-    A row of the schedule is a step (-1: the start), what is done after it, the kind of measurement, its row
-    among its kind, and the slot it waits in. The last two ``fillers`` are the addresses of `advance_kernel`
-    and `use_kernel`, so that two processes can compile them side by side. An answer is that of a filter
-    which goes ``ahead`` (M,) of the next step and ends a step of the covariance there. With the nodes of a
-    smoother the filter itself ends a step at each answer, and none is ahead. The state of the site is that
-    at the start and becomes the last.
+    A row of the schedule has the number of a step (-1: the start), what is done after it, the kind of
+    measurement, its row among its kind, and the slot in which it waits. The last two ``fillers`` are the
+    addresses of `advance_kernel` and `use_kernel`, so that two processes can compile them side by side. An
+    answer within a step comes from a copy of the filter, propagated by the part ``ahead`` (M,) of the step.
+    With a smoother, the filter itself ends a step of its covariance at each answer, and ``ahead`` is 0.
+    ``site`` holds the state at the start, and at the end the last one.
     """
     now, _, index, pending, _ = site
     n = now.P.shape[0]
