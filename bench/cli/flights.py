@@ -156,7 +156,8 @@ class _Shelf(click.Choice[str]):
     metavar="FILE",
     help="for sensors: draw the Allan deviation of all IMUs, by class",
 )
-def list_all(kind: str | None, as_json: bool, long: bool, picture: Path | None) -> int:
+@force_option("picture")
+def list_all(kind: str | None, as_json: bool, long: bool, picture: Path | None, force: bool) -> int:
     """List profiles, sensors, filters and studies.
 
     KIND is profiles, aircraft, legs, sensors, filters, exports, studies, metrics or packages, or a kind
@@ -170,10 +171,12 @@ def list_all(kind: str | None, as_json: bool, long: bool, picture: Path | None) 
         raise click.UsageError("--long is for bench list sensors, or a kind of sensor such as imu")
     if picture is not None and (kind != "sensors" or as_json):
         raise click.UsageError("--picture is for bench list sensors, without --json")
+    if force and picture is None:
+        raise click.UsageError("--force is for --picture")
     if picture is not None:
         from bench.cli.verbs.show import draw_imus
 
-        draw_imus(picture, new_console())
+        draw_imus(picture, new_console(), force=force)
     if long and as_json:
         from bench.io.config.figure_table import tabulate_figures
         from bench.io.results import to_json

@@ -160,7 +160,7 @@ def test_every_unit_has_the_allan_deviation_of_its_figures(path):
         assert curve.outside <= 1, curve.measured / curve.expected  # of 1680 values, 1.7 are beyond 99.9 %
 
 
-def test_the_picture_of_the_catalog_has_a_line_for_each_imu_of_a_class(here, monkeypatch):
+def test_the_picture_of_the_catalog_has_a_line_for_each_imu_of_a_class(here, monkeypatch, capsys):
     from matplotlib.axes import Axes
 
     drawn = []
@@ -168,7 +168,10 @@ def test_the_picture_of_the_catalog_has_a_line_for_each_imu_of_a_class(here, mon
     assert main(["list", "sensors", "--picture", "imus.png"]) == 0
     assert (here / "imus.png").stat().st_size > 50_000
     assert set(drawn) == {path.stem for path in UNITS if "synthetic" not in path.read_text()}
-    assert main(["list", "aircraft", "--picture", "imus.png"]) == 2
+    assert main(["list", "sensors", "--picture", "imus.png"]) == 2
+    assert "imus.png: exists; --force replaces it" in capsys.readouterr().err
+    for wrong in (["aircraft", "--picture", "other.png"], ["sensors", "--force"]):
+        assert main(["list", *wrong]) == 2
 
 
 FULL = ImuSpec(

@@ -219,14 +219,14 @@ def print_sensors(console: Console, kinds: Sequence[str]) -> None:
     console.print(text, soft_wrap=True)
 
 
-def draw_imus(picture: Path, console: Console) -> None:
+def draw_imus(picture: Path, console: Console, *, force: bool) -> None:
     """Draw the Allan deviation of the IMUs of the catalog by class, and print where."""
     from bench.io.config.datasheets import read_imu
     from bench.io.config.library import find_datasheet
     from bench.io.config.toml_file import read_toml
     from bench.views.report import allan_picture
 
-    allan_picture.check_picture(picture, force=True)
+    allan_picture.check_picture(picture, force=force)
     units = [
         (str(read_toml(path, shown).get("class")), read_imu(path, shown))
         for path, shown in (find_datasheet("imu", name, Path()) for name in find_sheets("imu"))
