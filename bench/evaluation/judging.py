@@ -15,6 +15,7 @@ from bench.evaluation.errors.reference_errors import measure_by_reference
 from bench.evaluation.errors.used_fixes import measure_innovations
 from bench.evaluation.metrics.coverage import Coverage, measure_coverage
 from bench.evaluation.metrics.run_metrics import measure
+from bench.evaluation.motion.rest_tilt import measure_rest_tilt
 from bench.evaluation.requirements.required_metrics import list_requirements
 
 Known = Trajectory | Reference | GnssFixes | None
@@ -62,7 +63,9 @@ def measure_solution(
         return measure(known, solution, evaluation=evaluation, data=data, **facts)
     assert data is not None
     if known is None:
-        return measure_innovations(solution, evaluation.begin, without_fixes=data.fixes is None)
+        alone = data.fixes is None
+        errors, values = measure_innovations(solution, evaluation.begin, without_fixes=alone)
+        return errors, values | (measure_rest_tilt(solution, data.imu, evaluation.begin) if alone else {})
     if isinstance(known, GnssFixes):
         return measure_by_fixes(solution, known, data, evaluation)
     return measure_by_reference(solution, known, data, evaluation)

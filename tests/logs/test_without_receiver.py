@@ -79,6 +79,22 @@ def test_a_reference_evaluates_tilt_and_heading(folder):
     assert metrics["heading_rmse_deg"] < 2.0
 
 
+def test_a_reference_needs_no_position(folder):
+    """Angles alone, as a motion capture has them, give the same figures; without angles nothing is left."""
+    rows = np.loadtxt(folder / "ref.csv", delimiter=",", skiprows=1)
+    write(folder / "angles.csv", "t_s,roll_deg,pitch_deg,heading_deg", rows[:, [0, 4, 5, 6]])
+    write(folder / "times.csv", "t_s,sd_roll_deg", rows[:, [0, 4]])
+    angles, whole = (
+        bench.navigate(log(folder, "judged", REFERENCE.replace("ref.csv", name))).metrics["ahrs"]
+        for name in ("angles.csv", "ref.csv")
+    )
+    assert angles["reference_epochs"] == whole["reference_epochs"] > 400
+    for name in ("tilt_rmse_deg", "heading_rmse_deg"):
+        assert angles[name] == pytest.approx(whole[name], rel=1e-9)
+    with pytest.raises(ConfigError, match=r"times\.csv: no columns for attitude \(roll_deg, .* or position"):
+        bench.read_log(log(folder, "judged", REFERENCE.replace("ref.csv", "times.csv")))
+
+
 def test_a_filter_that_needs_fixes_is_refused_in_a_line(folder):
     with pytest.raises(EstimatorError, match=r"filter 'loose-15' needs a gnss; there is none in alone\.toml"):
         bench.read_log(log(folder, "alone"), estimators=["loose-15"])

@@ -93,7 +93,8 @@ def print_log(console: Console, result: RunResult, *, table: bool, cuts: bool = 
     if "reference" in document:
         judge = f"evaluated by the reference, {document['reference']['file']}"
     elif "gnss" not in document:
-        judge = "no fixes and no reference: only innovations are evaluated"
+        rests = any("rests" in one for one in result.metrics.values())
+        judge = f"no fixes and no reference: only innovations {'and rests ' if rests else ''}are evaluated"
     console.print(f"{judge}; {result.evaluation}", soft_wrap=True)
     print_result(console, result, table=table)
     outages = result.more["outages"]

@@ -85,6 +85,7 @@ class ReferenceSpec:
     mounting: tuple[float, float, float]  # roll, pitch, yaw of its axes in b [rad]
     quality: tuple[int, ...]  # of the rows to use; empty: all
     align: str | None = None  # of local positions with the fixes: "se3", "yaw" or "none"
+    place: tuple[float, float, float] | None = None  # [rad, rad, m] of rows without a position
 
 
 @dataclass(frozen=True, slots=True)
@@ -297,6 +298,7 @@ def _make_spec(
             _to_radians(table.reference.mounting_deg),
             table.reference.quality,
             table.reference.align,
+            table.place and (*_to_radians(table.place)[:2], table.place[2]),
         )
         if table.reference and reference
         else None,

@@ -72,7 +72,7 @@ def read_reference(
     Raises
     ------
     ConfigError
-        If the file cannot be read, has no position, or none of its rows can judge: one line.
+        If the file cannot be read, lacks columns, or none of its rows can judge: one line.
     """
     source, shown = spec.source, spec.source.path.name
     kind, begin, checks = NONE, origin, list[Check]()
@@ -164,17 +164,24 @@ def _read_rows(
     if source.format != "table":
         rows = formats.read(source.format, source.path, "gnss", source.topic)
         return rows, rows.values.get("q_nb", np.full((len(rows.t), 4), np.nan)), None, None
-    optional = (*OPTIONAL, "attitude", "attitude sd")
+    optional = (*OPTIONAL, "attitude", "attitude sd", *(("position",) if spec.place else ()))
     table = read_table(source.path, _TABLE, optional, MOST_ROWS, source.columns, structure=source.topic)
     rows = LogRows.from_table(table, shown)
+    placeless = "position" not in table.columns  # its attitude is evaluated, at the place of the log
+    if placeless and "attitude" not in table.columns:
+        raise ConfigError(f"{shown}: no columns for attitude (roll_deg, pitch_deg, heading_deg) or position")
+    if placeless:
+        rows = replace(rows, values={**rows.values, "lla": np.tile(spec.place or (), (len(rows.t), 1))})
     lla = rows.values.get("lla", np.zeros((len(rows.t), 3)))  # north of a local frame is north
     q_nb = np.full((len(lla), 4), np.nan)
     if "attitude" in table.columns:
         known = np.isfinite(lla).all(axis=1) & np.isfinite(table.columns["attitude"]).all(axis=1)
-        given = {kind: table.columns[kind][known] for kind in ("position", "attitude")}
+        given = {kind: table.columns[kind][known] for kind in ("position", "attitude") if kind in table.stems}
         q_en = rotation.from_matrix(matrix_en(*lla[known, :2].T))
         q_nb[known] = read_attitudes(table, given, q_en, np.flatnonzero(known) + 1, shown)
-    rows, placed = place_rows(replace(rows, values={**rows.values, "q_nb": q_nb}), table, placing, shown)
+    rows, placed = replace(rows, values={**rows.values, "q_nb": q_nb}), None
+    if not placeless:
+        rows, placed = place_rows(rows, table, placing, shown)
     return rows, rows.values["q_nb"], table.columns.get("attitude sd"), placed
 
 
@@ -214,6 +221,9 @@ def _make_solution(
 def check_reference(reference: Reference, fixes: GnssFixes) -> Check:
     """Compare a reference with the fixes of the log; a large distance shows another drive or clock."""
     track = reference.track
+    if not len(fixes) and not np.ptp(track.lla, axis=0).any():
+        text = f"reference: {len(track)} rows, {track.t[0]:.2f} to {track.t[-1]:.2f} s, of one place"
+        return Check("reference_to_fixes_m", None, text, True)
     blocks = {"velocity": track.vel_n, "attitude": track.q_nb}
     parts = ", ".join(["position", *(name for name, values in blocks.items() if np.isfinite(values).all())])
     sd = np.sqrt(np.median(np.einsum("kii->ki", track.cov)[:, :2].mean(axis=1)))
