@@ -41,8 +41,9 @@ def measure_allan(
     unit : str, optional
         Catalog name of an IMU, or path of a datasheet. Its model is measured or, with ``log``, compared.
     log : str or Path, optional
-        Table of an IMU at rest (`bench.io.logs.resting_log.read_resting_log`). If it rests in six poses or
-        more, its scale factors, misalignments and biases are fitted, too, and the noise to the longest rest.
+        Table of an IMU at rest, or the ``.toml`` of a log (`bench.io.logs.resting_log`). If it rests in six
+        poses or more, its scale factors, misalignments and biases are fitted, too, and the noise to the
+        longest rest.
     seed : int, optional
         Seed of the noise of the model. Default: 1.
     picture : str or Path, optional
@@ -130,14 +131,15 @@ def _measure_log(log: Path, spec: ImuSpec | None, gravity: float | None) -> Alla
     from bench.io.logs.resting_log import read_resting_log
 
     desk = read_resting_log(log)
-    interval, fits = float(desk.t[-1] - desk.t[0]) / (len(desk.t) - 1), []
+    rest, fits = max(desk.rests, key=lambda rows: rows.stop - rows.start), []
+    t = desk.t[rest]
+    interval = float(t[-1] - t[0]) / (len(t) - 1)
     poses: list[PoseFit] = []
-    if len(desk.rests) > 1:
-        poses = pose_fit.fit_poses(desk.triads, desk.rests, interval, gravity)
+    if desk.posed:
+        poses = pose_fit.fit_poses(desk.triads, desk.rests, interval, gravity, desk.gaps)
     elif gravity is not None:
         raise ConfigError(f"{log}: rests in one pose, so --gravity has no effect; leave it out")
-    rest = max(desk.rests, key=lambda rows: rows.stop - rows.start)
-    t, triads = desk.t[rest], {name: rates[rest] for name, rates in desk.triads.items()}
+    triads = {name: rates[rest] for name, rates in desk.triads.items()}
     temperature = None if desk.temperature is None else desk.temperature[rest]
     if len(t) >= noise_fit.FEWEST:
         fits = [noise_fit.fit_triad(name, rates, interval, temperature) for name, rates in triads.items()]
@@ -151,6 +153,8 @@ def _measure_log(log: Path, spec: ImuSpec | None, gravity: float | None) -> Alla
     length = interval * len(t)
     span = f"{length / 3600.0:.3g} h" if length > 1000.0 else f"{length:.3g} s"
     record = f"{log.name}, {span} at {1.0 / interval:.4g} Hz"
+    if len(t) < len(desk.t):
+        record += f" (rows {rest.start + 1} to {rest.stop})"
     warmth = 0.0 if desk.temperature is None else float(np.ptp(desk.temperature))
     if poses and warmth > _WARMED:
         also = f"the temperature changed by {warmth:.2g} K, and the biases with it"

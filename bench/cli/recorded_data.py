@@ -136,6 +136,7 @@ def show(folder: Path | None) -> int:
     metavar="M_S2",
     help="gravity where a log with several poses was recorded  [default: 9.80665]",
 )
+@rates_option
 @force_option("picture and datasheet")
 def allan(unit: str | None, log: Path | None, **options: Any) -> int:
     """Measure the Allan deviation of an IMU.
@@ -149,10 +150,12 @@ def allan(unit: str | None, log: Path | None, **options: Any) -> int:
 
     FILE is a table (.csv, .parquet, .mat) of an IMU at rest, one row per sample. The columns are
     t_s, gyro_x_rad_s (or deg_s, deg_h), gyro_y_..., gyro_z_..., accel_x_m_s2 (or g, mg) and so on.
-    One of the two triads may be missing. The effect of temperature_degc on the noise is removed. If
-    the IMU rests for 5 s in each of six poses, 20 deg apart, bench also fits biases and scale factors of
-    the accelerometers; with nine poses, some tilted, also misalignments and the gyros. The noise is fitted
-    to the longest rest, which needs 1024 samples.
+    One of the two triads may be missing. The effect of temperature_degc on the noise is removed.
+    FILE may also be any other recording, or the .toml of a log, that bench navigate reads.
+
+    If the IMU rests for 5 s in each of six poses, 20 deg apart, bench also fits biases and scale factors
+    of the accelerometers; with nine poses, some tilted, also misalignments and the gyros. The noise is
+    fitted to the longest rest without missing samples; it needs 1024 samples.
 
     \b
     Examples:

@@ -129,12 +129,12 @@ def test_gravity_is_the_scale_of_the_accelerometers():
     assert (1 + wrong) * 1.002 == pytest.approx(1 + right, abs=1e-6)
 
 
-def write_table(path, read, degc=None):
+def write_table(path, read, degc=None, rows=slice(None)):
     names = [f"{of}_{axis}_{unit}" for of, unit in (("gyro", "rad_s"), ("accel", "m_s2")) for axis in "xyz"]
-    rows = np.column_stack([np.arange(len(read["gyro"])) / RATE, read["gyro"], read["accel"]])
+    table = np.column_stack([np.arange(len(read["gyro"])) / RATE, read["gyro"], read["accel"]])
     if degc is not None:
-        names, rows = [*names, "temperature_degc"], np.column_stack([rows, degc])
-    np.savetxt(path, rows, delimiter=",", header=",".join(["t_s", *names]), comments="")
+        names, table = [*names, "temperature_degc"], np.column_stack([table, degc])
+    np.savetxt(path, table[rows], delimiter=",", header=",".join(["t_s", *names]), comments="")
 
 
 def test_a_record_of_poses_becomes_a_datasheet(tmp_path, monkeypatch, capsys):

@@ -36,6 +36,7 @@ from bench.io import config, parameters, results
 from bench.io.config.checks import is_code
 from bench.io.config.datasheets import read_imu
 from bench.io.config.library import find_datasheet
+from bench.io.logs.resting_log import has_own_columns
 from bench.pipeline import log_pipeline
 
 
@@ -216,6 +217,7 @@ def measure_allan(
     force: bool,
     seed: int,
     gravity: float | None,
+    rates: str | None,
     console: Console,
 ) -> bool:
     """Print and draw the Allan deviation of an IMU or a log; return whether the model is within its bands.
@@ -227,6 +229,8 @@ def measure_allan(
     beside = Path(f"unit-{source}.toml") if sheet is None and unit is None else None
     if beside is not None:
         exchanging.check_sheet(beside, force=force)
+    if log is not None and not has_own_columns(log):
+        log = Path(_find_log(str(log), console, rates))
     measured = exchanging.measure_allan(
         unit, log=log, seed=seed, picture=picture, sheet=sheet, gravity=gravity, force=force
     )

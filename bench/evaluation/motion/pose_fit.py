@@ -16,13 +16,11 @@ from scipy.optimize import least_squares
 from scipy.stats import norm, t
 
 from bench.core.mathematics import rotation
-from bench.core.mathematics.arrays import BoolArray, FloatArray
+from bench.core.mathematics.arrays import BoolArray, FloatArray, IntArray
 from bench.core.mathematics.units import STANDARD_GRAVITY
 
 FEWEST_POSES = 6
-_USUAL_ANGLE = np.deg2rad(
-    1.0
-)  # sigma of the angles between accelerometers, where poses do not determine them
+_USUAL_ANGLE = np.deg2rad(1.0)  # sigma of the angles between accelerometers before the fit
 _FEWEST_TURNS = 6
 _LONGEST_TURN = 30.0  # [s]
 _APART = np.deg2rad(20.0)  # between two poses that count as two
@@ -31,6 +29,7 @@ _QUIET = 3.0  # times the scatter of a quiet block
 _SURE = 6.0  # standard errors of a block within which it does not move
 _DRIFTS = {"gyro": 1e-3, "accel": 2e-3}
 """What a bias may drift in a rest [rad/s; m/s^2]; more is motion."""
+_NONE: IntArray = np.empty(0, np.int64)
 _FEWEST_SPARE = 3  # equations more than unknowns from which their residuals give the interval
 _VAGUE = 0.02  # half interval of a scale factor beyond which the turns do not fit
 _NO_ANGLES = (
@@ -109,7 +108,11 @@ def count_poses(forces: Iterable[FloatArray]) -> int:
 
 
 def fit_poses(
-    triads: Mapping[str, FloatArray], rests: Sequence[slice], step: float, gravity: float | None = None
+    triads: Mapping[str, FloatArray],
+    rests: Sequence[slice],
+    step: float,
+    gravity: float | None = None,
+    gaps: IntArray = _NONE,
 ) -> list[PoseFit]:
     """Return the errors of the accelerometers and, from the turns between the rests, of the gyros.
 
@@ -123,6 +126,8 @@ def fit_poses(
         Interval of the samples [s].
     gravity : float or None
         Gravity at the place [m/s^2]; None takes the standard gravity.
+    gaps : (K,) array
+        Rows before which samples are missing; turns with a gap are not used.
     """
     accel = triads["accel"]
     means = np.array([accel[one].mean(axis=0) for one in rests])
@@ -133,7 +138,7 @@ def fit_poses(
         return [replace(found, missing=_NO_ANGLES)]
     if "gyro" not in triads:
         return [found]
-    gyro = _fit_gyro(triads["gyro"], rests, force, step)
+    gyro = _fit_gyro(triads["gyro"], rests, force, step, gaps)
     return [replace(found, missing=gyro)] if isinstance(gyro, str) else [gyro, found]
 
 
@@ -175,7 +180,9 @@ def _find_half(jacobian: FloatArray, residuals: FloatArray, spare: int) -> Float
     return np.asarray(t.ppf(0.975, spare) * sd * max(1.0, np.sqrt(residuals @ residuals / spare)))
 
 
-def _fit_gyro(gyro: FloatArray, rests: Sequence[slice], force: FloatArray, step: float) -> PoseFit | str:
+def _fit_gyro(
+    gyro: FloatArray, rests: Sequence[slice], force: FloatArray, step: float, gaps: IntArray
+) -> PoseFit | str:
     """Return the errors of the gyros, or why the turns do not determine them."""
     down = force / np.linalg.norm(force, axis=1, keepdims=True)
     means = np.array([gyro[one].mean(axis=0) for one in rests])
@@ -184,13 +191,15 @@ def _fit_gyro(gyro: FloatArray, rests: Sequence[slice], force: FloatArray, step:
     turns = [
         k
         for k, (one, other) in enumerate(itertools.pairwise(rests))
-        if (other.start - one.stop) * step <= _LONGEST_TURN and down[k] @ down[k + 1] < np.cos(_APART)
+        if (other.start - one.stop) * step <= _LONGEST_TURN
+        and down[k] @ down[k + 1] < np.cos(_APART)
+        and not ((gaps >= one.stop) & (gaps <= other.start)).any()
     ]
     spare = 2 * len(turns) - 9
     if len(turns) < _FEWEST_TURNS:
         return (
-            f"gyros not fitted: {len(turns)} of {len(rests) - 1} turns have 20 deg and take up to "
-            f"{_LONGEST_TURN:g} s, {_FEWEST_TURNS} are needed"
+            f"gyros not fitted: {len(turns)} of {len(rests) - 1} turns have 20 deg, take up to "
+            f"{_LONGEST_TURN:g} s and have no gap; {_FEWEST_TURNS} are needed"
         )
     x = np.zeros(9)
     for _ in range(5):

@@ -141,6 +141,11 @@ def read_records(spec: LogSpec) -> LogRecords:
     )
 
 
+def read_imu_rows(spec: LogSpec) -> LogRows:
+    """Return the rows of the IMU of a log, in its own axes; ConfigError as for `read_records`."""
+    return _read_rows(spec.imu, "imu")
+
+
 def _cut(record: Any, until: float) -> Any:
     """Return the rows of a record until a time [s]."""
     rows = record.t <= until

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from bench.core.mathematics.arrays import FloatArray
+from bench.core.mathematics.arrays import FloatArray, IntArray
+from bench.core.mathematics.units import split_unit
 from bench.core.words.exceptions import ConfigError
 from bench.evaluation.motion.noise_curves import INDEPENDENT
 from bench.evaluation.motion.pose_fit import FEWEST_POSES, count_poses, find_rests
-from bench.io.logs.table_files import find_first, group, read_table
+from bench.io.config.log import load_log
+from bench.io.logs.log_records import read_imu_rows
+from bench.io.logs.table_files import find_first, group, list_columns, read_table
 
 FEWEST = 2 * INDEPENDENT
 """Fewest rows: the shortest averaging time needs them."""
@@ -25,12 +29,15 @@ _TRIADS = {
 _MOVED = {"gyro": (0.05, "rad/s"), "accel": (0.5, "m/s^2")}
 """Standard deviation of 1 s means of an axis above which an IMU was not at rest."""
 _LONGEST_STEP = 1.0  # [s]
+_SHORTEST_PIECE = 1.0  # of a rest between gaps, where there are several poses [s]
+_PIECE = 0.1  # part of a record in one pose that has to be without a gap
 _STUCK = 0.1  # part of a record in which an axis does not change
 _FINE = 0.58  # scatter over step of a rounded axis: where its noise is half a step, noise and rounding add up
 _MANY, _CLIPPED = 50, 0.005  # distinct values, and part of them at an end, from which an axis is saturated
 _FEW = 200  # distinct values below which an axis may be rounded
 _ONE = 0.1  # distance of the mean specific force from 1 within which it is in g
 _TEMPERATURE = {"temperature": (group("temperature", "temperature"),)}
+_Read = tuple[str, FloatArray, Mapping[str, FloatArray], FloatArray | None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +47,9 @@ class RestingLog:
     t: FloatArray  # (N,) [s]
     triads: Mapping[str, FloatArray]  # rates (N, 3) of "gyro" and "accel" in SI
     temperature: FloatArray | None  # (N,) [degC]
-    rests: tuple[slice, ...]  # rows of each rest
+    rests: tuple[slice, ...]  # rows of each rest, without a gap
+    posed: bool  # it rests in several poses
+    gaps: IntArray  # (K,) rows before which samples are missing
 
 
 def read_resting_log(path: Path) -> RestingLog:
@@ -52,7 +61,7 @@ def read_resting_log(path: Path) -> RestingLog:
         Table with a header (CSV, Parquet or MATLAB): ``t_s`` and one or both triads, ``gyro_x_rad_s``,
         ``gyro_y_rad_s``, ``gyro_z_rad_s`` (or ``deg_s``, ``deg_h``), ``accel_x_m_s2`` ... (or ``g``, ``mg``):
         rates, not increments; and ``temperature_degc`` if the temperature is known. Other columns are not
-        read.
+        read. Or the ``.toml`` of a log, whose IMU is read.
 
     Raises
     ------
@@ -61,13 +70,7 @@ def read_resting_log(path: Path) -> RestingLog:
         the IMU moves and does not rest in six poses. The message names file and row; row 1 is the first
         below the header.
     """
-    shown = path.name
-    kinds = {"time": (group("time", "t"),), **_TRIADS, **_TEMPERATURE}
-    table = read_table(path, kinds, (*_TRIADS, *_TEMPERATURE), MOST_ROWS)
-    table.check_groups(_TRIADS, shown)
-    triads = {name: table.columns[name] for name in _TRIADS if name in table.columns}
-    t = table.columns["time"][:, 0]
-    temperature = table.columns["temperature"][:, 0] if "temperature" in table.columns else None
+    shown, t, triads, temperature = _read_log(path) if path.suffix == ".toml" else _read_columns(path)
     if not triads:
         raise ConfigError(f"{shown}: no column 'gyro_x_rad_s' or 'accel_x_m_s2' with its y and z")
     if len(t) < FEWEST:
@@ -81,10 +84,67 @@ def read_resting_log(path: Path) -> RestingLog:
     if not 0 < step <= _LONGEST_STEP:
         expected = f"expected above 0 to {_LONGEST_STEP:g} s: is it in ms?"
         raise ConfigError(f"{shown}: steps of t_s are {step:g} s; {expected}")
-    if (k := find_first(np.abs(steps - step) > 0.5 * step)) is not None:
+    gaps = np.flatnonzero(np.abs(steps - step) > 0.5 * step) + 1
+    if (k := find_first(steps <= 0.0)) is not None:
         text = f"t_s steps by {steps[k]:.6g} s, elsewhere by {step:g} s; cut the record there"
         raise ConfigError(f"{shown}: row {k + 2}: {text}")
-    return RestingLog(t, triads, temperature, _find_rests(triads, step, shown))
+    rests = _find_rests(triads, step, shown)
+    posed = len(rests) > 1
+    pieces = [piece for rest in rests for piece in _divide(rest, gaps)]
+    if not posed:
+        pieces = [max(pieces, key=_count)]
+        if len(gaps) and _count(pieces[0]) < max(FEWEST, _PIECE * len(t)):
+            text = f"t_s steps by {steps[gaps[0] - 1]:.6g} s, elsewhere by {step:g} s; cut the record there"
+            raise ConfigError(f"{shown}: row {gaps[0] + 1}: {text}")
+    else:
+        pieces = [one for one in pieces if _count(one) * step >= _SHORTEST_PIECE]
+    return RestingLog(t, triads, temperature, tuple(pieces), posed, gaps)
+
+
+def _divide(rest: slice, gaps: IntArray) -> list[slice]:
+    """Return the pieces of a rest between gaps."""
+    ends = [rest.start, *gaps[(gaps > rest.start) & (gaps < rest.stop)].tolist(), rest.stop]
+    return [slice(first, last) for first, last in itertools.pairwise(ends)]
+
+
+def _count(rows: slice) -> int:
+    return int(rows.stop - rows.start)
+
+
+def has_own_columns(path: Path) -> bool:
+    """Return whether a file is a table with the columns of `read_resting_log`; others are found by a log.
+
+    Raises
+    ------
+    ConfigError
+        If a file with the ending of a table cannot be read.
+    """
+    if path.suffix.lower() not in (".csv", ".parquet", ".mat") or not path.is_file():
+        return not path.is_file()
+    names = [split_unit(name)[0] for name in list_columns(path)]
+    return "t" in names and any(name.startswith(("gyro_", "accel_")) for name in names)
+
+
+def _read_columns(path: Path) -> _Read:
+    """Return the name of a table, its times, its triads and its temperature if it has one."""
+    kinds = {"time": (group("time", "t"),), **_TRIADS, **_TEMPERATURE}
+    table = read_table(path, kinds, (*_TRIADS, *_TEMPERATURE), MOST_ROWS)
+    table.check_groups(_TRIADS, path.name)
+    triads = {name: table.columns[name] for name in _TRIADS if name in table.columns}
+    temperature = table.columns["temperature"][:, 0] if "temperature" in table.columns else None
+    return path.name, table.columns["time"][:, 0], triads, temperature
+
+
+def _read_log(path: Path) -> _Read:
+    """Return the same of the IMU of a log, in its own axes."""
+    spec = load_log(str(path))
+    rows = read_imu_rows(spec)
+    steps = np.diff(rows.t, prepend=2.0 * rows.t[0] - rows.t[1])[:, None]
+    triads = {
+        name: rows.values[name] if name in rows.values else rows.values[increments] / steps
+        for name, increments in (("gyro", "dtheta"), ("accel", "dvel"))
+    }
+    return spec.imu.path.name, rows.t, triads, None
 
 
 def _find_rests(triads: Mapping[str, FloatArray], step: float, shown: str) -> tuple[slice, ...]:
