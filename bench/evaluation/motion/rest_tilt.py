@@ -17,7 +17,7 @@ from bench.core.records.data import ImuData, NavSolution
 
 _SCATTER = {"gyro": 0.03, "accel": 0.3}
 """Scatter of a rest over the three axes: of consumer IMUs, and below that of an engine [rad/s; m/s^2]."""
-_TURNING = 0.01  # mean rate away from that of the other rests: a steady turn [rad/s]
+_TURNING = 0.01  # mean rate away from the first rest, or from most rests: a steady turn [rad/s]
 _LATE = 0.5  # from the begin of a rest to the epoch of the filter [s]
 _FEWEST_ROWS = 40
 
@@ -69,7 +69,9 @@ def find_rests_after_motion(imu: ImuData) -> tuple[FloatArray, FloatArray]:
     if not rests:
         return np.empty(0), np.empty((0, 3))
     rates, force = (np.array([triads[name][one].mean(axis=0) for one in rests]) for name in _SCATTER)
-    still = np.linalg.norm(rates - np.median(rates, axis=0), axis=1) < _TURNING
-    still[0] &= rests[0].start > 0
+    begins_at_rest = rests[0].start == 0
+    usual = rates[0] if begins_at_rest else np.median(rates, axis=0)
+    still = np.linalg.norm(rates - usual, axis=1) < _TURNING
+    still[0] &= not begins_at_rest
     starts = imu.t[rows[[one.start for one in rests]]]
     return starts[still], (force / np.linalg.norm(force, axis=1, keepdims=True))[still]
