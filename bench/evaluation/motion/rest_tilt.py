@@ -1,7 +1,8 @@
 """The tilt of a filter where an IMU comes to rest, against the accelerometers over the whole rest.
 
 The filter is compared at the begin of a rest, when the rest has hardly corrected it. A bias of the
-accelerometers is in the filter and in the mean, so it is not part of the error.
+accelerometers is in the filter and in the mean, so it is not part of the error. A steady acceleration
+without vibration, such as simulated braking, looks like a rest, and its tilt is wrong.
 """
 
 from __future__ import annotations
