@@ -359,7 +359,7 @@ class Session:
     ) -> SensorData:
         """Return the data for a filter; IMU intervals are divided to end at each fix and output.
 
-        ``keep`` (M,) are the fixes it gets; it gets no ranges after the begin of ``outage`` to its end [s].
+        ``keep`` (M,) are the fixes it gets; it gets no ranges after the start of ``outage`` to its end [s].
         """
         fixes, output_t = self.fixes.take(keep), np.unique(output_t)
         others = self.recorded.instruments

@@ -24,7 +24,7 @@ __all__ = ["LANES", "add_row", "row_sums", "scale_row", "set_row", "wide", "wide
 
 
 def wide(shape: tuple[int, ...]) -> FloatArray:
-    """Return zeros with at least this shape: rows of whole cache lines, the first at the begin of one."""
+    """Return zeros with at least this shape: rows of whole cache lines, the first at the start of one."""
     whole = *shape[:-1], -(-shape[-1] // LANES) * LANES
     size = math.prod(whole)
     memory = np.zeros(size + LANES)

@@ -73,7 +73,7 @@ class Stages:
         self._show(replace(self._now, done=done))
 
     def compile(self, busy: bool) -> None:
-        """Mark the begin or the end of a compilation."""
+        """Mark the start or the end of a compilation."""
         self._show(replace(self._now, compiling=busy))
 
     def find(self, found: str) -> None:

@@ -215,7 +215,7 @@ def _judge_by_innovations(label: str, values: Mapping[str, Any]) -> _Judgment:
         used = "the log has no fixes and no reference to evaluate it"
         if "rests" in values:
             rests = f"{values['rests']} rest{'s' if values['rests'] > 1 else ''}"
-            used += f"; its tilt is compared with the accelerometers at the begin of {rests}"
+            used += f"; its tilt is compared with the accelerometers at the start of {rests}"
     if loud:
         reason = _describe_innovations(loud, values)
         return _Judgment(

@@ -1,6 +1,6 @@
 """The tilt of a filter where an IMU comes to rest, against the accelerometers over the whole rest.
 
-The filter is compared at the begin of a rest, when the rest has hardly corrected it. A bias of the
+The filter is compared at the start of a rest, when the rest has hardly corrected it. A bias of the
 accelerometers is in the filter and in the mean, so it is not part of the error. A steady acceleration
 without vibration, such as simulated braking, looks like a rest, and its tilt is wrong.
 """
@@ -19,12 +19,12 @@ from bench.core.records.data import ImuData, NavSolution
 _SCATTER = {"gyro": 0.03, "accel": 0.3}
 """Scatter of a rest over the three axes: of consumer IMUs, and below that of an engine [rad/s; m/s^2]."""
 _TURNING = 0.01  # mean rate away from the first rest, or from most rests: a steady turn [rad/s]
-_LATE = 0.5  # from the begin of a rest to the epoch of the filter [s]
+_LATE = 0.5  # from the start of a rest to the epoch of the filter [s]
 _FEWEST_ROWS = 40
 
 
 def measure_rest_tilt(solution: NavSolution, imu: ImuData, begin: float) -> dict[str, Any]:
-    """Return the tilt error at the begin of each rest after a motion, from ``begin`` on.
+    """Return the tilt error at the start of each rest after a motion, from ``begin`` on.
 
     Returns
     -------
@@ -52,7 +52,7 @@ def measure_rest_tilt(solution: NavSolution, imu: ImuData, begin: float) -> dict
 
 
 def find_rests_after_motion(imu: ImuData) -> tuple[FloatArray, FloatArray]:
-    """Return the begin (R,) [s] of each rest after a motion, and the direction of its force (R, 3), b."""
+    """Return the start (R,) [s] of each rest after a motion, and the direction of its force (R, 3), b."""
     from bench.evaluation.motion.pose_fit import find_rests
 
     rows = np.flatnonzero(imu.valid)

@@ -106,7 +106,7 @@ def cut_piece(
 ) -> SensorData:
     """Return some IMU samples of a record, with the arrivals and output times between two times [s].
 
-    Both may be infinite; what has no time is there from the begin of the record.
+    Both may be infinite; what has no time is there from the start of the record.
     """
 
     def inside(t: FloatArray, slack: float) -> BoolArray:

@@ -60,7 +60,7 @@ def make_page(solved: RinexFixes) -> str:
 
 
 class _HourAxis(NamedTuple):
-    """The horizontal axis: hours since the begin of the first day, or seconds of a short record."""
+    """The horizontal axis: hours since the start of the first day, or seconds of a short record."""
 
     begin: float
     end: float
