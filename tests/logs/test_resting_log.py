@@ -78,4 +78,8 @@ def test_poses_with_gaps_are_read_in_pieces(tmp_path):
     assert desk.posed
     assert desk.gaps.tolist() == [middle]
     assert len(desk.rests) == len(TILTED) + 1
+    torn = np.delete(np.arange(len(read["gyro"])), np.arange(40, len(read["gyro"]), 80))
+    write_table(tmp_path / "torn.csv", read, rows=torn)
+    with pytest.raises(ConfigError, match=r"row 41: t_s steps by 0.02 s, elsewhere by 0.01 s; cut"):
+        read_resting_log(tmp_path / "torn.csv")
     assert all(not ((desk.gaps > one.start) & (desk.gaps < one.stop)).any() for one in desk.rests)

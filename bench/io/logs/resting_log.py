@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -91,13 +91,15 @@ def read_resting_log(path: Path) -> RestingLog:
     rests = _find_rests(triads, step, shown)
     posed = len(rests) > 1
     pieces = [piece for rest in rests for piece in _divide(rest, gaps)]
-    if not posed:
-        pieces = [max(pieces, key=_count)]
-        if len(gaps) and _count(pieces[0]) < max(FEWEST, _PIECE * len(t)):
-            text = f"t_s steps by {steps[gaps[0] - 1]:.6g} s, elsewhere by {step:g} s; cut the record there"
-            raise ConfigError(f"{shown}: row {gaps[0] + 1}: {text}")
-    else:
+    if posed:
         pieces = [one for one in pieces if _count(one) * step >= _SHORTEST_PIECE]
+        whole = _count_poses(triads, pieces) >= FEWEST_POSES
+    else:
+        pieces = [max(pieces, key=_count)]
+        whole = not len(gaps) or _count(pieces[0]) >= max(FEWEST, _PIECE * len(t))
+    if not whole:
+        text = f"t_s steps by {steps[gaps[0] - 1]:.6g} s, elsewhere by {step:g} s; cut the record there"
+        raise ConfigError(f"{shown}: row {gaps[0] + 1}: {text}")
     return RestingLog(t, triads, temperature, tuple(pieces), posed, gaps)
 
 
@@ -109,6 +111,10 @@ def _divide(rest: slice, gaps: IntArray) -> list[slice]:
 
 def _count(rows: slice) -> int:
     return int(rows.stop - rows.start)
+
+
+def _count_poses(triads: Mapping[str, FloatArray], rests: Sequence[slice]) -> int:
+    return count_poses([triads["accel"][one].mean(axis=0) for one in rests if "accel" in triads])
 
 
 def has_own_columns(path: Path) -> bool:
@@ -161,7 +167,7 @@ def _find_rests(triads: Mapping[str, FloatArray], step: float, shown: str) -> tu
         if (sd := float(means[:, axis].std())) > most:
             rests = tuple(find_rests(triads, step))
             lacks = "" if "accel" in triads else ", without accelerometers"
-            poses = count_poses([triads["accel"][one].mean(axis=0) for one in rests if "accel" in triads])
+            poses = _count_poses(triads, rests)
             if poses < FEWEST_POSES:
                 raise ConfigError(
                     f"{shown}: {name}_{'xyz'[axis]} moves: its means over 1 s have a standard deviation of "
