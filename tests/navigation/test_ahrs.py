@@ -58,6 +58,31 @@ def solve(truth, spec, run=0, change=lambda data: data, **options):
     return error_series(truth, solution), solution
 
 
+# --- a heading that nobody knows ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("make", [tumbling, lambda duration: at_rest(duration, 50.0, LLA, 0.05, 0.1, 0.3)])
+def test_an_unknown_heading_moves_with_the_gyros_alone(make):
+    """A linear error of 1.8 rad tells nothing; with it, gravity and Earth rate pull by 30 deg and more."""
+    truth, gyro = make(180.0), IMU.gyro
+    drift = np.hypot(gyro.turn_on_bias_sd * 180.0, gyro.random_walk * np.sqrt(180.0))
+    for run in range(2):
+        sensed = sensors.sense(truth, on_board(), 7, run)
+        cov = sensed.initial.cov.copy()
+        cov[8], cov[:, 8] = 0.0, 0.0
+        cov[8, 8] = np.pi**2 / 3.0
+        moved = []
+        for off in (0.0, 1.7, 3.0):
+            q_nb = rotation.multiply(rotation.from_euler(0.0, 0.0, off), sensed.initial.q_nb)
+            solution = load("ahrs", {}).run(sensed.data, replace(sensed.initial, q_nb=q_nb, cov=cov))
+            error = error_series(truth, solution).phi_n
+            moved.append(np.angle(np.exp(1j * (error[-1, 2] - error[0, 2]))))
+            assert np.sqrt(solution.cov[-1, 8, 8]) == pytest.approx(np.pi / np.sqrt(3.0), rel=0.02)
+            assert np.hypot(*error[-50:, :2].T).max() < 1.0 * DEG
+        assert np.abs(moved).max() < 4.0 * drift
+        assert np.ptp(moved) < 0.1 * DEG
+
+
 # --- at rest: closed forms ------------------------------------------------------------------------------
 
 

@@ -56,6 +56,7 @@ _SHOWN = 3.0  # standard deviations by which |f| differs from g in an accelerati
 _LONGEST = 60.0  # an acceleration is remembered so long [s]
 _MODELED = ("gyro scale factor", "gyro misalignment", "gyro non-orthogonality", "magnetometer calibration")
 _VAGUE = np.radians(20.0)  # above this sigma the heading is that of the magnetometer [rad]
+_UNKNOWN = 1.0  # above this sigma the heading is that of the gyros: no linear error tells it [rad]
 
 
 class Ahrs:
@@ -102,6 +103,7 @@ class AhrsFlight(SteppedFilter):
     C_nb: Kept[FloatArray]  # (3, 3)
     wrong: Kept[FloatArray]  # (n - 3,) the states but attitude: [rad/s], [m/s^2], [1], and [T], [1], b
     P: Kept[FloatArray]
+    earth_n: Kept[FloatArray]  # (3,) rate of the Earth, of an unknown heading its vertical part [rad/s], n
     sums: Kept[FloatArray]  # (3, 12) integral of C_nb, and by the rates, since P is as it is [s], [rad]
     gained: Kept[FloatArray]  # (3, 16) integrals in this period: specific force, n, C_nb, ``sums`` by time
     before: Kept[FloatArray]  # (3, 3) C_nb when P was as it is
@@ -142,6 +144,7 @@ class AhrsFlight(SteppedFilter):
         self.sums, self.gained, self.spans = np.zeros((3, 12)), np.zeros((3, 16)), np.zeros(3)
         self.before = self.C_nb.copy()
         self.unknown, self.lasting = 0.0, 0.0
+        self.earth_n = self._find_earth_rate()
         self.make_scratch()
         self.gate = InnovationGate(
             (*SENSORS, "gravity"), initial.t, options.gate_probability, options.readmit_after_s
@@ -163,8 +166,9 @@ class AhrsFlight(SteppedFilter):
     ) -> None:
         """Advance by a step; use gravity at the end of its period."""
         turn_kernel(
-            self.C_nb, self.wrong, self.w_n, dt, dtheta, dvel, self.sums, self.gained, self.spans, self.work
-        )
+            self.C_nb, self.wrong, self.earth_n, dt, dtheta, dvel,
+            self.sums, self.gained, self.spans, self.work,
+        )  # fmt: skip
         self.spans[2] += unknown[0]
         self.unknown += float(unknown[1])
         if self.spans[1] >= self.options.gravity_period_s - TIME_TOLERANCE:
@@ -197,7 +201,7 @@ class AhrsFlight(SteppedFilter):
         if T <= 0.0:
             return
         F, C_bn = np.eye(len(self.P)), self.C_nb.T
-        F[PHI, PHI] = C_bn @ (self.before - T * np.cross(self.w_n, self.before, axisb=0, axisc=0))
+        F[PHI, PHI] = C_bn @ (self.before - T * np.cross(self.earth_n, self.before, axisb=0, axisc=0))
         F[PHI, GYRO], F[PHI, TURN] = -C_bn @ self.sums[:, :3], -C_bn @ self.sums[:, 3:]
         Q = np.diag(self.walk * T)
         added = self.unknown + self.walk[GYRO.start] * T**3 / 3.0
@@ -230,6 +234,13 @@ class AhrsFlight(SteppedFilter):
         for rows, part in ((GYRO, turned[:, :3]), (TURN, turned[:, 3:])):  # the attitude was another before
             H[:, rows] = H[:, PHI] @ part
         self._update(t, GRAVITY, f_b + g_b, H, white + np.eye(3) * moved, PHI)
+        self.earth_n = self._find_earth_rate()
+
+    def _knows_heading(self) -> bool:
+        return bool(self.C_nb[2] @ self.P[PHI, PHI] @ self.C_nb[2] <= _UNKNOWN**2)
+
+    def _find_earth_rate(self) -> FloatArray:
+        return self.w_n if self._knows_heading() else self.w_n * np.array([0.0, 0.0, 1.0])
 
     def _use_field(self, t: float, field_b: FloatArray, variance: FloatArray) -> None:
         """Compare the magnetic field measured (3,) [T], b, with the field of the model."""
@@ -268,6 +279,8 @@ class AhrsFlight(SteppedFilter):
             self.P = self.P + E @ E.T
             S = H @ self.P @ H.T + R
         K = np.linalg.solve(S, H @ self.P).T
+        if code == GRAVITY and not self._knows_heading():
+            K[PHI] -= np.outer(self.C_nb[2], self.C_nb[2] @ K[PHI])
         J = np.eye(len(self.P)) - K @ H
         x = K @ d
         back = rotation.matrix(rotation.from_rotvec(-x[PHI]))
