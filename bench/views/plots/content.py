@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from itertools import chain
 from math import radians
 
 import numpy as np
@@ -52,15 +52,16 @@ FAR = 20.0
 def carrier(solutions: Mapping[str, NavSolution], *, in_space: bool = True) -> Carrier:
     """Return the finite rows of the motion of the first solution that has any.
 
-    If not ``in_space``, a position is enough.
+    If not ``in_space``, a position is enough, or an attitude if no filter has a position.
 
     Raises
     ------
     NothingToShowError
         If there is none.
     """
-    for one in solutions.values():
-        parts = [one.lla, one.vel_n, one.q_nb] if in_space else [one.lla]
+    needed: list[tuple[str, ...]] = [("lla", "vel_n", "q_nb")] if in_space else [("lla",), ("q_nb",)]
+    for names, one in itertools.product(needed, solutions.values()):
+        parts = [getattr(one, name) for name in names]
         good = np.flatnonzero(np.all([np.isfinite(part).all(axis=1) for part in parts], axis=0))
         if len(good):
             t, lla, vel_n, q_nb = (
@@ -106,7 +107,7 @@ class Content:
 def gather_content(result: RunResult, *, in_space: bool = True) -> Content | None:
     """Return the data of a result to plot; None if neither truth nor solutions have a motion.
 
-    If not ``in_space``, a position is enough.
+    If not ``in_space``, a position or an attitude is enough.
     """
     if result.sensed is None:
         return None
@@ -158,7 +159,7 @@ def share_scales(by_label: Mapping[str, Rows]) -> Mapping[str, Rows]:
     """
     alike: dict[tuple[str, ...], list[Plot]] = {}
     for rows in by_label.values():
-        for plot in chain.from_iterable(rows):
+        for plot in itertools.chain.from_iterable(rows):
             if plot.path[0] == "estimators":
                 alike.setdefault(plot.path[2:], []).append(plot)
     shared: dict[tuple[str, ...], tuple[float, float]] = {}

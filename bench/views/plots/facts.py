@@ -17,6 +17,8 @@ def list_facts(result: RunResult) -> Iterable[str]:
         kept = profile.get("evaluation", {}).get("withhold")
         if "reference" in profile:
             yield f"a log: errors are estimate minus reference, {profile['reference']['file']}"
+        elif "gnss" not in profile:
+            yield "a log without receiver and reference"
         else:
             yield "a log without truth: errors are estimate minus fixes that were kept from the filters"
         if kept:
@@ -62,11 +64,11 @@ def list_units(profile: Mapping[str, Any]) -> Iterable[tuple[str, str, str, str]
     titles = {"imu": "IMU", "gnss": "GNSS", **{name: row.title for name, row in INSTRUMENTS.items()}}
     assumed = on_board.get("assumed", {}) if isinstance(on_board, Mapping) else {}
     for kind, title in titles.items():
-        name = on_board.get(kind)
+        other = assumed.get(kind)
+        name = on_board.get(kind, other)
         if isinstance(name, str):
             entry = find_unit(kind, name)
             note = entry.note if entry else "own datasheet"
-            other = assumed.get(kind)
             if isinstance(other, str) and other != name:
                 note = f"the filters assume {other}. {note}"
             yield title, name, entry.title if entry else "", note

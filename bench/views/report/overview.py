@@ -55,6 +55,8 @@ def draw_track(content: Content, shades: Sequence[Shade]) -> str:
     """Return the track from above: paths, fixes, start and end, epochs, and where something is shaded."""
     motion = content.motion
     origin = motion.lla[0]
+    if not np.isfinite(origin).all():
+        return ""
     rows = slice(None, None, _EVERY if len(motion.t) > _FEW else 1)
     ground = earth.local_ned(disk_arrays.take(motion.lla, rows), origin)[:, :2]
     t = np.asarray(disk_arrays.take(motion.t, rows))

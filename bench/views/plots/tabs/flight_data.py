@@ -84,9 +84,10 @@ def _plots(content: Content) -> Mapping[str, Rows]:
         *([(name, _measured_title(name), series)] for name, series in measured.items()),
     ]
     rows = []
-    for group in groups:  # a truth from a table has no air data and no controls
+    for group in groups:  # a truth from a table has no air data and no controls, an attitude no position
         filled = [
-            (name, title, tuple(line for line in series if len(line.t))) for name, title, series in group
+            (name, title, tuple(line for line in series if np.isfinite(line.values).any()))
+            for name, title, series in group
         ]
         rows.append([Plot(("flight", name), title, series) for name, title, series in filled if series])
     return {"": [row for row in rows if row]}
