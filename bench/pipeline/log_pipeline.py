@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,7 @@ from bench.core.mathematics.units import SAME_INSTANT
 from bench.core.records.data import Events, GnssFixes, GnssObservations, InitialState, NavSolution, SensorData
 from bench.core.records.run_records import Reference, Sensed, no_sensor_truth
 from bench.core.records.run_result import RunResult
+from bench.core.records.sensor_specs import ImuSpec
 from bench.core.records.specs import AUTOPILOT, DEFAULT_GUARD, Guard
 from bench.core.words.exceptions import ConfigError
 from bench.core.words.stages import Progress, Stages
@@ -138,25 +139,24 @@ def read_log(
     if spec.clock_given or spec.reference is not None:  # a reference may have either clock
         timing = set()
     for label in weighing | timing:
-        defaults = ({REPORTED: "reported"} if label in weighing else {}) | (
-            {OFFSET: OFFSET_SD} if label in timing else {}
-        )
+        defaults: dict[str, Any] = {REPORTED: "reported"} if label in weighing else {}
+        defaults |= {OFFSET: OFFSET_SD} if label in timing else {}
         choice = choices[label]
         built[label] = build_estimator(replace(choice, options={**defaults, **choice.options}))
     if any(OFFSET not in choices[label].options for label in timing):
         checks.append(validity.describe_offset(OFFSET_SD))
     if weighing and records.fixes.valid.any():
         checks.append(validity.describe_accuracy(records.fixes, records.reported))
-    if spec.vibration:
-        imu, found = assume_vibration(spec.assumed.imu, records.imu)
-        spec = replace(spec, assumed=replace(spec.assumed, imu=imu))
-        checks.append(found)
+    measures: list[Callable[..., tuple[ImuSpec, Check | None]]]
+    measures = [validity.assume_range, *([assume_vibration] if spec.vibration else [])]
     for asked, assume in ((tune_noise, assume_rest_noise), (motion_noise, assume_motion_noise)):
         if asked:
             standstills = RecordedMotion.from_records(records.imu, records.fixes).find_standstills()
-            imu, found = assume(spec.assumed.imu, records.imu, standstills)
-            spec = replace(spec, assumed=replace(spec.assumed, imu=imu))
-            checks.append(found)
+            measures.append(partial(assume, standstills=standstills))
+    for measure in measures:
+        imu, found = measure(spec.assumed.imu, records.imu)
+        spec = replace(spec, assumed=replace(spec.assumed, imu=imu))
+        checks += [found] if found else []
     judge_by = None
     if spec.reference is not None:
         last = float(records.imu.t.max())

@@ -11,6 +11,7 @@ from bench.core.mathematics import rotation
 from bench.core.words.exceptions import ConfigError, EstimatorError
 from bench.io.results.result_folder import load_solution
 from bench.simulation import sensors
+from bench.views.report import page
 from tests.builders import at_rest
 from tests.navigation.test_ahrs import COMPASS, LLA, on_board
 from tests.weaving import DEG
@@ -93,6 +94,67 @@ def test_a_reference_needs_no_position(folder):
         assert angles[name] == pytest.approx(whole[name], rel=1e-9)
     with pytest.raises(ConfigError, match=r"times\.csv: no columns for attitude \(roll_deg, .* or position"):
         bench.read_log(log(folder, "judged", REFERENCE.replace("ref.csv", "times.csv")))
+
+
+@pytest.fixture(scope="module")
+def turned(tmp_path_factory):
+    """An IMU of 2000 deg/s that is turned by hand, for a minute, at up to 300 deg/s about x."""
+    place = tmp_path_factory.mktemp("turned")
+    t = np.arange(1, 6001) / 100.0
+    begun = np.clip(t - 40.0, 0.0, None)
+    roll = 1.0 * np.sin(5.2 * begun) * (begun < 2 * np.pi / 5.2 * 3)
+    rate = np.gradient(roll, t)
+    force = np.column_stack([0 * t, -np.sin(roll), -np.cos(roll)]) * 9.80665
+    noise = np.random.default_rng(2).normal(size=(2, 6000, 3)) * [[[3e-4]], [[0.01]]]
+    names = [f"{of}_{axis}_{unit}" for of, unit in (("gyro", "rad_s"), ("accel", "m_s2")) for axis in "xyz"]
+    gyro = np.column_stack([rate, 0 * t, 0 * t]) + noise[0]
+    write(place / "imu.csv", ",".join(["t_s", *names]), t, gyro, force + noise[1])
+    return place
+
+
+def test_a_record_beyond_the_range_of_the_assumed_imu_is_used_and_said(turned):
+    """The range of the ADIS16475-1 is 125 deg/s. Its samples beyond are not lost: the roll comes back."""
+    text = LOG.format(place=PLACE).replace('mag = "hmc5883l"', "")
+    text = text.replace('[mag]\nfile = "mag.csv"\n', "")
+    (turned / "log.toml").write_text(
+        text + '[alignment]\nkind = "level"\nduration_s = 30.0\n[evaluation]\nfrom_s = 31.0\n'
+    )
+    read = bench.read_log(turned / "log.toml")
+    (found,) = [one for one in read.checks if one.name == "imu_range"]
+    assert not found.good
+    assert "is not the assumed adis16475: gyro values up to 29" in found.text
+    assert "its range is 125 deg/s. Name yours in [sensors.assumed]; the range is not used" in found.text
+    assert (read.spec.assumed.imu.gyro.range, read.spec.assumed.imu.accel.range > 0) == (0.0, True)
+    solution = bench.navigate(read).solutions["ahrs"]
+    roll = np.rad2deg(rotation.to_euler(solution.q_nb)[0])
+    assert np.abs(roll[solution.t > 45.0]).max() < 2.0
+    assert np.nanmax(roll) > 50.0
+    fits = bench.read_log(turned / "log.toml", overrides={"sensors.assumed.imu": "icm-42688-p"})
+    assert [one.name for one in fits.checks if one.name == "imu_range"] == []
+    assert fits.spec.assumed.imu.gyro.range > 0
+
+
+def test_four_damaged_samples_are_no_other_imu(turned, tmp_path):
+    for name in ("imu.csv", "log.toml"):
+        (tmp_path / name).write_text((turned / name).read_text())
+    rows = np.loadtxt(tmp_path / "imu.csv", delimiter=",", skiprows=1)[:3500]
+    rows[[100, 900, 1700, 2500], 1] = 50.0
+    head = (tmp_path / "imu.csv").read_text().splitlines()[0]
+    write(tmp_path / "imu.csv", head, rows)
+    read = bench.read_log(tmp_path / "log.toml")
+    assert [one.name for one in read.checks if one.name == "imu_range"] == []
+    assert read.spec.assumed.imu.gyro.range > 0
+
+
+def test_the_report_shows_the_attitude_and_the_assumed_imu(turned):
+    result = bench.navigate(turned / "log.toml")
+    html = page.make_page("turned", result)
+    for shown in ("Roll and pitch [deg]", "Heading [deg]", "gyro bias x", "NIS of gravity", "IMU: adis16475"):
+        assert shown in html
+    assert "a log without receiver and reference" in html
+    assert "There is no track to draw." in html
+    assert "fixes that were kept" not in html
+    assert "Altitude [m]" not in html
 
 
 def test_a_filter_that_needs_fixes_is_refused_in_a_line(folder):

@@ -15,9 +15,10 @@ import numpy as np
 
 from bench.core.mathematics.arrays import BoolArray, FloatArray, find_later
 from bench.core.mathematics.earth import gravity_n
-from bench.core.mathematics.units import STANDARD_GRAVITY
+from bench.core.mathematics.units import DEG, STANDARD_GRAVITY
 from bench.core.records.data import GnssFixes, ImuData
 from bench.core.records.instruments import INSTRUMENTS
+from bench.core.records.sensor_specs import ImuSpec, TriadSpec
 from bench.core.words.wording import format_number
 from bench.evaluation.motion.axis_search import AS_GIVEN
 from bench.evaluation.motion.fix_reach import find_reachable
@@ -29,6 +30,8 @@ TILT_OFF = np.deg2rad(20.0)
 """Allowed angle from the up axis to the specific force at rest [rad]: steeper than any parking place."""
 RATE_LIMIT = np.deg2rad(4000.0)
 """Angular rate beyond the range of usual gyros [rad/s]."""
+_FORCE_LIMIT = 100.0 * STANDARD_GRAVITY  # the same of accelerometers [m/s^2]
+_BEYOND, _FEWEST_BEYOND = 1.01, 5  # part of a range, and samples beyond it, that show another IMU
 _LEAST_CLIMB = 20.0  # standard deviation of the heights from which a barometer is compared [m]
 _WANDER = 60.0  # errors of heights further apart than this count as independent [s]
 _GAP = 3.0  # a longer interval is a gap, in usual intervals
@@ -120,6 +123,32 @@ def check_rates(motion: RecordedMotion) -> Check:
     if not good:
         text += ": are these deg/s in a column of rad/s?"
     return Check("gyro_max_deg_s", most, text, good)
+
+
+def assume_range(spec: ImuSpec, imu: ImuData) -> tuple[ImuSpec, Check | None]:
+    """Return a datasheet without a range that the record exceeds, and a check with a message if it does.
+
+    A range ends what an IMU can read, so a record with larger values is of another IMU. A few such values
+    may be damaged, and do not count.
+    """
+    rows = imu.valid & (imu.dt > 0.0)
+    told, triads = [], dict[str, TriadSpec]()
+    for name, increments, most, unit, factor in (
+        ("gyro", imu.dtheta_b, RATE_LIMIT, "deg/s", DEG),
+        ("accel", imu.dvel_b, _FORCE_LIMIT, "g", STANDARD_GRAVITY),
+    ):
+        triad: TriadSpec = getattr(spec, name)
+        sizes = np.abs(increments[rows]).max(axis=1, initial=0.0) / imu.dt[rows]
+        beyond = (sizes > _BEYOND * triad.range) & (sizes < most)
+        if triad.range and beyond.sum() >= _FEWEST_BEYOND:
+            triads[name] = replace(triad, range=0.0)
+            largest, end = sizes[beyond].max() / factor, triad.range / factor
+            told.append(f"{name} values up to {largest:.4g} {unit}, its range is {end:.4g} {unit}")
+    if not told:
+        return spec, None
+    text = f"imu: is not the assumed {spec.name}: {'; '.join(told)}. Name yours in [sensors.assumed]; "
+    spec = replace(spec, gyro=triads.get("gyro", spec.gyro), accel=triads.get("accel", spec.accel))
+    return spec, Check("imu_range", None, f"{text}the range is not used", False)
 
 
 def check_rest(motion: RecordedMotion) -> list[Check]:
