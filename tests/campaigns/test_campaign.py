@@ -476,7 +476,7 @@ def test_a_damaged_line_is_repeated_and_said(here, capsys):
     again += [f"--set={key}={value}" for key, value in OPTIONS["overrides"].items()]
     for folder, said in (("bitten", True), ("two", False)):
         assert main([*again, "-o", folder]) == 0
-        assert ("Journal: 1 lines or parts were damaged" in capsys.readouterr().out) == said
+        assert ("Journal, damaged lines and parts: 1." in capsys.readouterr().out) == said
     assert same(here / "two", here / "bitten")
 
 

@@ -78,6 +78,23 @@ def test_a_reference_evaluates_tilt_and_heading(folder):
     metrics = bench.navigate(log(folder, "judged", REFERENCE)).metrics["ahrs"]
     assert 0 < metrics["tilt_rmse_deg"] < 1.0
     assert metrics["heading_rmse_deg"] < 2.0
+    assert metrics["nees_states"] == 3
+    assert metrics["nees_mean"] > 0
+
+
+def test_a_heading_that_the_log_does_not_tell_is_no_divergence(folder):
+    """Without a magnetometer any heading is as good; the filter says so by its sigma."""
+    rows = np.loadtxt(folder / "ref.csv", delimiter=",", skiprows=1)
+    for further in (-150.0, 0.0, 150.0):
+        head = "t_s,roll_deg,pitch_deg,heading_deg"
+        write(folder / "far.csv", head, rows[:, [0, 4, 5, 6]] + [0, 0, 0, further])
+        path = log(folder, "far", REFERENCE.replace("ref.csv", "far.csv"))
+        text = path.read_text().replace('[mag]\nfile = "mag.csv"\n', "")
+        path.write_text(text.replace('mag = "hmc5883l"', ""))
+        metrics = bench.navigate(path).metrics["ahrs"]
+        assert metrics["converged"], metrics["reason"]
+        assert metrics["verdict"] != "diverged"
+        assert metrics["tilt_rmse_deg"] < 1.0
 
 
 def test_a_reference_needs_no_position(folder):
@@ -92,6 +109,12 @@ def test_a_reference_needs_no_position(folder):
     assert angles["reference_epochs"] == whole["reference_epochs"] > 400
     for name in ("tilt_rmse_deg", "heading_rmse_deg"):
         assert angles[name] == pytest.approx(whole[name], rel=1e-9)
+    rows[:, 6] = np.nan
+    write(folder / "angles.csv", "t_s,roll_deg,pitch_deg,heading_deg", rows[:, [0, 4, 5, 6]])
+    with pytest.raises(
+        ConfigError, match=r"angles\.csv: no row has all angles \(roll_deg, pitch_deg, heading"
+    ):
+        bench.read_log(log(folder, "judged", REFERENCE.replace("ref.csv", "angles.csv")))
     with pytest.raises(ConfigError, match=r"times\.csv: no columns for attitude \(roll_deg, .* or position"):
         bench.read_log(log(folder, "judged", REFERENCE.replace("ref.csv", "times.csv")))
 

@@ -389,7 +389,7 @@ GOOD, SLOW = ("".join(f"{k * step:.1f},0.1,0.2,0.3\n" for k in range(40)) for st
         (HEAD + GOOD + "4.0,0.1,nan,0.3\n", "row 41: a value of gyro is not finite; cut the record there"),
         (
             HEAD + GOOD + "3.9,0.1,0.2,0.3\n",
-            "row 41: t_s steps by 0 s, elsewhere by 0.1 s; cut the record there",
+            "row 41: t_s does not increase, it steps by 0 s; cut the record there",
         ),
         (
             HEAD + SLOW,

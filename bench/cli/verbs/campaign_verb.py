@@ -123,7 +123,7 @@ def print_campaign(console: Console, result: Campaign, *, table: bool = False) -
     failures = [f"failed: {reason}; {command}" for command, reason in result.failed.items()]
     _print_failures(console, failures, "failed.")
     if result.damaged:
-        console.print(f"Journal: {result.damaged} lines or parts were damaged; their runs were repeated.")
+        console.print(f"Journal, damaged lines and parts: {result.damaged}. Their runs were repeated.")
     missing = result.planned - result.finished
     done = f"{result.finished} of {result.planned} runs" if missing else f"{result.finished} runs"
     if not table:

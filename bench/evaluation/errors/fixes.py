@@ -166,12 +166,16 @@ def point_errors(
         T[:, :3, 6:] = -rotation.skew(arm_n)
         cov = np.where(has_attitude[:, None, None], solution.cov, 0.0)
         cov[:, :6, :6] = solution.cov[:, :6, :6]
+        own = [bool(np.isfinite(block).any()) for block in (solution.lla, solution.vel_n)]
+        unestimated = np.repeat([not own[0], not own[1], False], 3)
+        cov[:, unestimated], cov[:, :, unestimated] = 0.0, 0.0
         unknown = bool(np.isnan(reference.cov).all())
         P = T @ cov @ T.transpose(0, 2, 1) + (np.nan if unknown else np.nan_to_num(reference.cov))
         moves = bool(np.isfinite(reference.vel_n).all())
         turns = bool(np.isfinite(reference.q_nb).all() and has_attitude.any())
-        counted = np.repeat([True, moves, turns], 3)
+        counted = np.repeat([own[0], own[1] and moves, turns], 3)
         P[:, ~counted], P[:, :, ~counted] = np.nan, np.nan
+        P[~has_attitude & np.isnan(solution.lla).any(axis=1)] = np.nan
         error = np.hstack([pos_error_n, vel_error_n, phi_n])[:, counted]
         nees = normalized_squares(error, P[:, counted][:, :, counted])
     moved = replace(

@@ -17,6 +17,7 @@ from scipy.stats import norm, t
 
 from bench.core.mathematics import rotation
 from bench.core.mathematics.arrays import BoolArray, FloatArray, IntArray
+from bench.core.mathematics.earth import EARTH_RATE
 from bench.core.mathematics.units import STANDARD_GRAVITY
 
 FEWEST_POSES = 6
@@ -31,6 +32,8 @@ _DRIFTS = {"gyro": 1e-3, "accel": 2e-3}
 """What a bias may drift in a rest [rad/s; m/s^2]; more is motion."""
 _NONE: IntArray = np.empty(0, np.int64)
 _FEWEST_SPARE = 3  # equations more than unknowns from which their residuals give the interval
+_USELESS = 0.1  # half interval of a scale factor of an accelerometer that poses do not determine
+_ONE_AXIS = "scale factors and biases not determined: turn each axis up and down"
 _VAGUE = 0.02  # half interval of a scale factor beyond which the turns do not fit
 _NO_ANGLES = (
     "misalignments not determined, so gyros not fitted: record nine poses or more, some tilted by 45 deg"
@@ -52,6 +55,11 @@ class PoseFit:
     bias_half: FloatArray
     count: int  # poses, or turns
     missing: str = ""  # what was not determined, and why
+
+    @property
+    def determined(self) -> bool:
+        """Whether the intervals of the scale factors are of use."""
+        return bool(self.scale_half.max() < _USELESS)
 
 
 def find_rests(triads: Mapping[str, FloatArray], step: float) -> list[slice]:
@@ -133,6 +141,8 @@ def fit_poses(
     means = np.array([accel[one].mean(axis=0) for one in rests])
     errors = np.array([_find_error(accel[one], mean, step) for one, mean in zip(rests, means, strict=True)])
     found, matrix = _fit_accel(means, errors, gravity or STANDARD_GRAVITY)
+    if not found.determined:
+        return [replace(found, missing=_ONE_AXIS)]
     force = np.asarray(np.linalg.solve(matrix, (means - found.bias).T).T)
     if not len(found.angles):
         return [replace(found, missing=_NO_ANGLES)]
@@ -198,8 +208,8 @@ def _fit_gyro(
     spare = 2 * len(turns) - 9
     if len(turns) < _FEWEST_TURNS:
         return (
-            f"gyros not fitted: {len(turns)} of {len(rests) - 1} turns have 20 deg, take up to "
-            f"{_LONGEST_TURN:g} s and have no gap; {_FEWEST_TURNS} are needed"
+            f"gyros not fitted: {len(turns)} turns can be used (20 deg or more, up to {_LONGEST_TURN:g} s, "
+            f"no missing samples); {_FEWEST_TURNS} are needed"
         )
     x = np.zeros(9)
     for _ in range(5):
@@ -226,6 +236,7 @@ def _fit_gyro(
         )
     matrix, halves, off = x.reshape(3, 3), half.reshape(3, 3), ~np.eye(3, dtype=bool)
     scatter_bias = means.std(axis=0, ddof=1) / np.sqrt(len(means)) * t.ppf(0.975, len(means) - 1)
+    scatter_bias += EARTH_RATE  # it is in the means, alike in poses that are turned about one axis
     diagonals = np.diag(matrix), np.diag(halves)
     return PoseFit("gyro", *diagonals, matrix[off], halves[off], bias, scatter_bias, len(turns))
 

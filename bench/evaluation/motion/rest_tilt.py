@@ -13,12 +13,13 @@ import numpy as np
 
 from bench.core.mathematics import rotation
 from bench.core.mathematics.arrays import FloatArray
-from bench.core.mathematics.units import SAME_INSTANT
+from bench.core.mathematics.units import SAME_INSTANT, STANDARD_GRAVITY
 from bench.core.records.data import ImuData, NavSolution
 
 _SCATTER = {"gyro": 0.03, "accel": 0.3}
 """Scatter of a rest over the three axes: of consumer IMUs, and below that of an engine [rad/s; m/s^2]."""
 _TURNING = 0.01  # mean rate away from the first rest, or from most rests: a steady turn [rad/s]
+_OFF = 1.0  # of the specific force from gravity, by bias and scale of consumer accelerometers [m/s^2]
 _LATE = 0.5  # from the start of a rest to the epoch of the filter [s]
 _FEWEST_ROWS = 40
 
@@ -74,5 +75,6 @@ def find_rests_after_motion(imu: ImuData) -> tuple[FloatArray, FloatArray]:
     usual = rates[0] if begins_at_rest else np.median(rates, axis=0)
     still = np.linalg.norm(rates - usual, axis=1) < _TURNING
     still[0] &= not begins_at_rest
+    still &= np.abs(np.linalg.norm(force, axis=1) - STANDARD_GRAVITY) < _OFF
     starts = imu.t[rows[[one.start for one in rests]]]
     return starts[still], (force / np.linalg.norm(force, axis=1, keepdims=True))[still]

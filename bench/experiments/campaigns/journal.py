@@ -21,6 +21,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from bench.core.files import durable, file_checks
 from bench.core.mathematics.arrays import IntArray
+from bench.core.words.exceptions import ConfigError
 from bench.evaluation.metrics.run_metrics import find_metric
 from bench.experiments.campaigns import parts
 from bench.experiments.campaigns.worker import CHANNELS
@@ -97,7 +98,7 @@ class Journal:
     Raises
     ------
     ConfigError
-        If the journal is not a regular file.
+        If the journal is not a regular file, or a link.
     """
 
     def __init__(self, path: Path) -> None:
@@ -108,6 +109,8 @@ class Journal:
         self._synced = time.monotonic()
         self._parts = parts.Parts(path.parent, _check)
         self.damaged = self._parts.damaged  # lines and parts that do not count
+        if path.is_symlink():
+            raise ConfigError(f"{path}: is a link; put the journal itself there")
         if path.exists():
             file_checks.check_file(path, str(path), _LARGEST)
         self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_BINARY", 0), 0o666)

@@ -179,6 +179,8 @@ def _read_rows(
         given = {kind: table.columns[kind][known] for kind in ("position", "attitude") if kind in table.stems}
         q_en = rotation.from_matrix(matrix_en(*lla[known, :2].T))
         q_nb[known] = read_attitudes(table, given, q_en, np.flatnonzero(known) + 1, shown)
+    if placeless and not np.isfinite(q_nb).all(axis=1).any():
+        raise ConfigError(f"{shown}: no row has all angles ({', '.join(table.names['attitude'])}) as numbers")
     rows, placed = replace(rows, values={**rows.values, "q_nb": q_nb}), None
     if not placeless:
         rows, placed = place_rows(rows, table, placing, shown)

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from bench.core.mathematics.arrays import FloatArray, IntArray
-from bench.core.mathematics.units import split_unit
+from bench.core.mathematics.units import STANDARD_GRAVITY, split_unit
 from bench.core.words.exceptions import ConfigError
 from bench.evaluation.motion.noise_curves import INDEPENDENT
 from bench.evaluation.motion.pose_fit import FEWEST_POSES, count_poses, find_rests
@@ -30,11 +30,14 @@ _MOVED = {"gyro": (0.05, "rad/s"), "accel": (0.5, "m/s^2")}
 """Standard deviation of 1 s means of an axis above which an IMU was not at rest."""
 _LONGEST_STEP = 1.0  # [s]
 _SHORTEST_PIECE = 1.0  # of a rest between gaps, where there are several poses [s]
+_UNEVEN, _SHARE = 0.25, 0.2  # steps that differ by this from the usual one, and part of them
 _PIECE = 0.1  # part of a record in one pose that has to be without a gap
 _STUCK = 0.1  # part of a record in which an axis does not change
 _FINE = 0.58  # scatter over step of a rounded axis: where its noise is half a step, noise and rounding add up
 _MANY, _CLIPPED = 50, 0.005  # distinct values, and part of them at an end, from which an axis is saturated
 _FEW = 200  # distinct values below which an axis may be rounded
+_OFF = 1.0  # of the mean specific force from gravity [m/s^2]
+_NO_FORCE = 0.5  # of a record without gravity, whose noise can be measured in one pose [m/s^2]
 _ONE = 0.1  # distance of the mean specific force from 1 within which it is in g
 _TEMPERATURE = {"temperature": (group("temperature", "temperature"),)}
 _Read = tuple[str, FloatArray, Mapping[str, FloatArray], FloatArray | None]
@@ -81,13 +84,17 @@ def read_resting_log(path: Path) -> RestingLog:
             raise ConfigError(f"{shown}: row {k + 1}: a value of {name} is not finite; cut the record there")
     steps = np.diff(t)
     step = float(np.median(steps))
-    if not 0 < step <= _LONGEST_STEP:
-        expected = f"expected above 0 to {_LONGEST_STEP:g} s: is it in ms?"
-        raise ConfigError(f"{shown}: steps of t_s are {step:g} s; {expected}")
-    gaps = np.flatnonzero(np.abs(steps - step) > 0.5 * step) + 1
     if (k := find_first(steps <= 0.0)) is not None:
-        text = f"t_s steps by {steps[k]:.6g} s, elsewhere by {step:g} s; cut the record there"
-        raise ConfigError(f"{shown}: row {k + 2}: {text}")
+        raise ConfigError(
+            f"{shown}: row {k + 2}: t_s does not increase, it steps by {steps[k]:.6g} s; cut the record there"
+        )
+    if step > _LONGEST_STEP:
+        expected = f"expected above 0 to {_LONGEST_STEP:g} s: is it in ms or us?"
+        raise ConfigError(f"{shown}: steps of t_s are {step:g} s; {expected}")
+    if np.mean(np.abs(steps - step) > _UNEVEN * step) > _SHARE:
+        low, high = np.quantile(steps, [0.05, 0.95])
+        raise ConfigError(f"{shown}: steps of t_s are uneven, {low:.3g} to {high:.3g} s; record at one rate")
+    gaps = np.flatnonzero(np.abs(steps - step) > 0.5 * step) + 1
     rests = _find_rests(triads, step, shown)
     posed = len(rests) > 1
     pieces = [piece for rest in rests for piece in _divide(rest, gaps)]
@@ -98,8 +105,10 @@ def read_resting_log(path: Path) -> RestingLog:
         pieces = [max(pieces, key=_count)]
         whole = not len(gaps) or _count(pieces[0]) >= max(FEWEST, _PIECE * len(t))
     if not whole:
-        text = f"t_s steps by {steps[gaps[0] - 1]:.6g} s, elsewhere by {step:g} s; cut the record there"
-        raise ConfigError(f"{shown}: row {gaps[0] + 1}: {text}")
+        raise ConfigError(
+            f"{shown}: samples are missing before {len(gaps)} rows, the first is row {gaps[0] + 1}; "
+            f"the longest piece at rest has {max(map(_count, pieces), default=0)} rows, too few of {len(t)}"
+        )
     return RestingLog(t, triads, temperature, tuple(pieces), posed, gaps)
 
 
@@ -128,12 +137,14 @@ def has_own_columns(path: Path) -> bool:
     if path.suffix.lower() not in (".csv", ".parquet", ".mat") or not path.is_file():
         return not path.is_file()
     names = [split_unit(name)[0] for name in list_columns(path)]
-    return "t" in names and any(name.startswith(("gyro_", "accel_")) for name in names)
+    rates, increments = ("gyro_", "accel_"), ("dtheta_", "dvel_")
+    own = [any(name.startswith(heads) for name in names) for heads in (rates, increments)]
+    return "t" in names and own == [True, False]
 
 
 def _read_columns(path: Path) -> _Read:
     """Return the name of a table, its times, its triads and its temperature if it has one."""
-    kinds = {"time": (group("time", "t"),), **_TRIADS, **_TEMPERATURE}
+    kinds = {"time": (group("clock", "t"),), **_TRIADS, **_TEMPERATURE}
     table = read_table(path, kinds, (*_TRIADS, *_TEMPERATURE), MOST_ROWS)
     table.check_groups(_TRIADS, path.name)
     triads = {name: table.columns[name] for name in _TRIADS if name in table.columns}
@@ -146,6 +157,8 @@ def _read_log(path: Path) -> _Read:
     spec = load_log(str(path))
     rows = read_imu_rows(spec)
     steps = np.diff(rows.t, prepend=2.0 * rows.t[0] - rows.t[1])[:, None]
+    usual = float(np.median(steps))
+    steps[steps > 1.5 * usual] = usual  # an increment is that of one sample, whatever is missing before it
     triads = {
         name: rows.values[name] if name in rows.values else rows.values[increments] / steps
         for name, increments in (("gyro", "dtheta"), ("accel", "dvel"))
@@ -177,10 +190,12 @@ def _find_rests(triads: Mapping[str, FloatArray], step: float, shown: str) -> tu
             break
     if "accel" in triads:
         force = float(np.mean([np.linalg.norm(triads["accel"][one].mean(axis=0)) for one in rests]))
-        if abs(force - 1.0) < _ONE:
+        if abs(force - STANDARD_GRAVITY) > _OFF and (force > _NO_FORCE or len(rests) > 1):
+            why = "if the values are in g, name the columns accel_x_g, y and z"
+            if abs(force - 1.0) > _ONE:
+                why = "is its unit m/s^2, and gravity in it?"
             raise ConfigError(
-                f"{shown}: the mean specific force is {force:.3g} m/s^2, at rest it is 9.8: "
-                "if the values are in g, name the columns accel_x_g, y and z"
+                f"{shown}: the mean specific force is {force:.3g} m/s^2, at rest it is 9.8: {why}"
             )
     return rests
 

@@ -43,7 +43,7 @@ def make_measured_spec(name: str, fits: Sequence[NoiseFit], poses: Sequence[Pose
         figures: dict[str, Any] = {
             field: float(np.sqrt(np.mean(values**2)))
             for field, values, halves in _list_errors(one)
-            if (np.abs(values) > halves).any()
+            if one.determined and (np.abs(values) > halves).any()
         }
         triads[one.triad] = replace(triads[one.triad], **figures)
     return ImuSpec(name, triads.get("gyro", TriadSpec()), triads.get("accel", TriadSpec()))
@@ -89,6 +89,7 @@ def summarize_poses(one: PoseFit) -> str:
     texts = [
         f"{words.get(field, 'misalignment')} {_describe_axes(one.triad, field, values, halves)}"
         for field, values, halves in _list_errors(one)
+        if one.determined
     ]
     missing = [one.missing] if one.missing else []
     return f"{one.triad}, {one.count} {known} (95 %): " + "; ".join([*texts, *missing])
