@@ -132,16 +132,16 @@ def turned(tmp_path_factory):
     names = [f"{of}_{axis}_{unit}" for of, unit in (("gyro", "rad_s"), ("accel", "m_s2")) for axis in "xyz"]
     gyro = np.column_stack([rate, 0 * t, 0 * t]) + noise[0]
     write(place / "imu.csv", ",".join(["t_s", *names]), t, gyro, force + noise[1])
+    text = LOG.format(place=PLACE).replace('mag = "hmc5883l"', "")
+    text = text.replace('[mag]\nfile = "mag.csv"\n', "")
+    (place / "log.toml").write_text(
+        text + '[alignment]\nkind = "level"\nduration_s = 30.0\n[evaluation]\nfrom_s = 31.0\n'
+    )
     return place
 
 
 def test_a_record_beyond_the_range_of_the_assumed_imu_is_used_and_said(turned):
     """The range of the ADIS16475-1 is 125 deg/s. Its samples beyond are not lost: the roll comes back."""
-    text = LOG.format(place=PLACE).replace('mag = "hmc5883l"', "")
-    text = text.replace('[mag]\nfile = "mag.csv"\n', "")
-    (turned / "log.toml").write_text(
-        text + '[alignment]\nkind = "level"\nduration_s = 30.0\n[evaluation]\nfrom_s = 31.0\n'
-    )
     read = bench.read_log(turned / "log.toml")
     (found,) = [one for one in read.checks if one.name == "imu_range"]
     assert not found.good
@@ -155,6 +155,36 @@ def test_a_record_beyond_the_range_of_the_assumed_imu_is_used_and_said(turned):
     fits = bench.read_log(turned / "log.toml", overrides={"sensors.assumed.imu": "icm-42688-p"})
     assert [one.name for one in fits.checks if one.name == "imu_range"] == []
     assert fits.spec.assumed.imu.gyro.range > 0
+
+
+def test_a_slow_reference_is_compared_at_its_own_rows(turned):
+    """Between its rows, 1 s apart, the roll goes to 57 deg and back, so no line connects them."""
+    (turned / "judged.toml").write_text((turned / "log.toml").read_text() + REFERENCE)
+    t = np.arange(0.0, 60.0, 0.2)
+    begun = np.clip(t - 40.0, 0.0, None)
+    roll = np.rad2deg(np.sin(5.2 * begun) * (begun < 2 * np.pi / 5.2 * 3))
+    for every, epochs in ((1, 140), (5, 28)):
+        rows = np.column_stack([t, roll, 0 * t, 0 * t])[::every]
+        write(turned / "ref.csv", "t_s,roll_deg,pitch_deg,heading_deg", rows)
+        metrics = bench.navigate(turned / "judged.toml").metrics["ahrs"]
+        assert metrics["tilt_rmse_deg"] < 1.5
+        assert epochs <= metrics["reference_epochs"] <= 2.2 * epochs
+
+
+def test_the_turn_of_missing_increments_is_bridged_as_that_of_rates(tmp_path):
+    """At 0.2 rad/s for 60 s, with every fiftieth row missing: 12 rad from increments as from rates."""
+    t = np.arange(1, 6001) / 100.0
+    kept = np.arange(6000) % 50 != 25
+    for names, scale in (("gyro_{}_rad_s accel_{}_m_s2", 1.0), ("dtheta_{}_rad dvel_{}_mps", 0.01)):
+        heads = ["t_s", *(name.format(axis) for name in names.split() for axis in "xyz")]
+        turn = np.full((6000, 3), [0.0, 0.0, 0.2 * scale])
+        push = np.full((6000, 3), [0.0, 0.0, -9.8 * scale])
+        write(tmp_path / "imu.csv", ",".join(heads), np.column_stack([t, turn, push])[kept])
+        text = LOG.format(place=PLACE).replace('mag = "hmc5883l"', "")
+        (tmp_path / "log.toml").write_text(text.replace('[mag]\nfile = "mag.csv"\n', ""))
+        imu = bench.read_log(tmp_path / "log.toml").records.imu
+        assert np.abs(imu.dtheta_b.sum(axis=0) - [0, 0, 12.0]) == pytest.approx(0.0, abs=0.01)
+        assert imu.dvel_b[:, 2] / imu.dt == pytest.approx(-9.8, rel=1e-9)
 
 
 def test_four_damaged_samples_are_no_other_imu(turned, tmp_path):

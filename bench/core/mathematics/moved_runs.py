@@ -1,4 +1,4 @@
-"""Runs whose normal noise is a mixture of the noise of other runs, for Markov chains over noise."""
+"""Runs with a mixture of the normal noise of other runs, for Markov chains over noise."""
 
 from __future__ import annotations
 

@@ -45,6 +45,8 @@ def compare(solution: NavSolution, reference: Reference, data: SensorData) -> tu
 def _meet(solution: NavSolution, track: NavSolution) -> tuple[NavSolution, NavSolution]:
     """Return estimate and reference at common epochs."""
     known = np.asarray(np.isfinite(solution.lla).all(axis=1))
+    if not known.any():  # a filter of attitude alone
+        known = np.asarray(np.isfinite(solution.q_nb).all(axis=1))
     if np.median(np.diff(track.t)) < np.median(np.diff(solution.t)) or not known.any():
         own = resample(take_as_read(track, "reference"), solution.t)
         rows = np.asarray(np.isfinite(own.lla).all(axis=1))

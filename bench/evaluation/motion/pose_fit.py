@@ -58,7 +58,7 @@ class PoseFit:
 
     @property
     def determined(self) -> bool:
-        """Whether the intervals of the scale factors are of use."""
+        """Return whether the intervals of the scale factors are of use."""
         return bool(self.scale_half.max() < _USELESS)
 
 

@@ -35,7 +35,7 @@ class RareErrors:
 def find_rare_errors(
     measure: Callable[[Sequence[MovedRun]], FloatArray], limits: Sequence[float], size: int, hours: float
 ) -> Iterator[RareErrors]:
-    """Yield the rate of flights whose largest horizontal or vertical error exceeds its alert limit.
+    """Yield the rate of flights with a horizontal or vertical error beyond its alert limit.
 
     The rate is an upper bound of the integrity risk, because errors with an alert are counted, too. If it is
     too high, the requirement is undecided and not missed.

@@ -79,7 +79,7 @@ def read_records(spec: LogSpec) -> LogRecords:
     ConfigError
         If a file cannot be read, lacks columns, or has an impossible value: one line with file and row.
     """
-    imu_rows, observations, sky, no_ranges = _read_rows(spec.imu, "imu"), None, None, ""
+    imu_rows, observations, sky, no_ranges = read_rows(spec.imu, "imu"), None, None, ""
     gnss_rows: LogRows | None = None
     if spec.gnss is None:
         pass
@@ -87,8 +87,8 @@ def read_records(spec: LogSpec) -> LogRecords:
         assert spec.assumed.gnss is not None
         gnss_rows, observations, sky, no_ranges = read_ranges(spec.gnss, spec.assumed.gnss)
     else:
-        gnss_rows = _read_rows(spec.gnss, "gnss")
-    others = {kind: _read_rows(source, kind) for kind, source in spec.instruments.items()}
+        gnss_rows = read_rows(spec.gnss, "gnss")
+    others = {kind: read_rows(source, kind) for kind, source in spec.instruments.items()}
     origin, end = float(imu_rows.t[0]), float(imu_rows.t.max())
     others = {kind: meet_week(rows, origin, end) for kind, rows in others.items()}
     imu = _make_imu(imu_rows, spec, origin)
@@ -141,18 +141,14 @@ def read_records(spec: LogSpec) -> LogRecords:
     )
 
 
-def read_imu_rows(spec: LogSpec) -> LogRows:
-    """Return the rows of the IMU of a log, in its own axes; ConfigError as for `read_records`."""
-    return _read_rows(spec.imu, "imu")
-
-
 def _cut(record: Any, until: float) -> Any:
     """Return the rows of a record until a time [s]."""
     rows = record.t <= until
     return replace(record, **{one.name: getattr(record, one.name)[rows] for one in fields(record)})
 
 
-def _read_rows(source: SourceSpec, kind: str) -> LogRows:
+def read_rows(source: SourceSpec, kind: str) -> LogRows:
+    """Return the rows of a sensor of a log, an IMU in its own axes; ConfigError as for `read_records`."""
     shown, topic = source.path.name, source.topic
     form = "navego" if _is_navego(source, kind) else source.format
     if source.gyro_path is not None:
@@ -226,7 +222,10 @@ def _make_imu(rows: LogRows, spec: LogSpec, origin: float) -> ImuData:
     gyro, accel = (values[name] for name in (("gyro", "accel") if rates else ("dtheta", "dvel")))
 
     def integrate(of: FloatArray, block: slice) -> FloatArray:
-        return of[block] * dt[block, None] if rates else of[block]
+        if rates or "interval" in values:
+            return of[block] * dt[block, None] if rates else of[block]
+        steps = dt[block, None] / median  # an increment is that of one sample, whatever is missing before it
+        return of[block] * np.where(steps > _MISSING, steps, 1.0)
 
     def find_finite(block: slice) -> BoolArray:
         both = np.hstack([integrate(gyro, block), integrate(accel, block)])
@@ -267,6 +266,7 @@ def _check_length(imu: ImuData, spec: LogSpec) -> None:
     )
 
 
+_MISSING = 1.5  # an interval, in usual intervals, from which samples are missing before its row
 _LEAST_RATE = 5.0  # of an IMU [Hz]
 _LIMITS = (("latitude", "deg", -90.0, 90.0), ("longitude", "deg", -180.0, 360.0), ("height", "m", -1e3, 1e5))
 

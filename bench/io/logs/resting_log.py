@@ -15,7 +15,7 @@ from bench.core.words.exceptions import ConfigError
 from bench.evaluation.motion.noise_curves import INDEPENDENT
 from bench.evaluation.motion.pose_fit import FEWEST_POSES, count_poses, find_rests
 from bench.io.config.log import load_log
-from bench.io.logs.log_records import read_imu_rows
+from bench.io.logs.log_records import read_rows
 from bench.io.logs.table_files import find_first, group, list_columns, read_table
 
 FEWEST = 2 * INDEPENDENT
@@ -155,7 +155,7 @@ def _read_columns(path: Path) -> _Read:
 def _read_log(path: Path) -> _Read:
     """Return the same of the IMU of a log, in its own axes."""
     spec = load_log(str(path))
-    rows = read_imu_rows(spec)
+    rows = read_rows(spec.imu, "imu")
     steps = np.diff(rows.t, prepend=2.0 * rows.t[0] - rows.t[1])[:, None]
     usual = float(np.median(steps))
     steps[steps > 1.5 * usual] = usual  # an increment is that of one sample, whatever is missing before it

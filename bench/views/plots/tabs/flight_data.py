@@ -85,12 +85,13 @@ def _plots(content: Content) -> Mapping[str, Rows]:
     ]
     rows = []
     for group in groups:  # a truth from a table has no air data and no controls, an attitude no position
-        filled = [
-            (name, title, tuple(line for line in series if np.isfinite(line.values).any()))
-            for name, title, series in group
-        ]
+        filled = [(name, title, tuple(filter(_has_values, series))) for name, title, series in group]
         rows.append([Plot(("flight", name), title, series) for name, title, series in filled if series])
     return {"": [row for row in rows if row]}
+
+
+def _has_values(line: Series) -> bool:
+    return bool(np.isfinite(line.values).any())
 
 
 def _draw_rotors(truth: Trajectory, keep: Any) -> list[Series]:
