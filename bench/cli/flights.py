@@ -150,13 +150,13 @@ class _Shelf(click.Choice[str]):
 )
 @click.option("--json", "as_json", is_flag=True, help="print JSON")
 @click.option("--long", "long", is_flag=True, help="for sensors: all datasheet values in one table")
+@force_option("picture")
 @click.option(
     "--picture",
     type=FILE,
     metavar="FILE",
     help="for sensors: draw the Allan deviation of all IMUs, by class",
 )
-@force_option("picture")
 def list_all(kind: str | None, as_json: bool, long: bool, picture: Path | None, force: bool) -> int:
     """List profiles, sensors, filters and studies.
 
