@@ -32,11 +32,6 @@ def measure_rest_tilt(solution: NavSolution, imu: ImuData, begin: float) -> dict
     dict
         ``rests`` is their number, ``tilt_rmse_deg`` the root mean square of the angle between vertical and
         estimated vertical; empty without such a rest.
-
-    Examples
-    --------
-    >>> measure_rest_tilt(solution, data.imu, 60.0)["rests"]  # doctest: +SKIP
-    11
     """
     t, up_b = find_rests_after_motion(imu)
     k = np.searchsorted(solution.t, t - SAME_INSTANT)
