@@ -51,6 +51,9 @@ def test_columns_of_another_program_are_found_and_give_the_same_figures(tmp_path
     own = bench.measure_allan(log="own.csv")
     assert main(["allan", "--log", "other.csv"]) == 0
     assert "gyro_x_deg_s from Gyroscope X (deg/s)" in capsys.readouterr().out
+    for name in ("own.csv", "other.toml"):
+        assert main(["allan", "--log", name, "--rates", "deg", "--force"]) == 2
+        assert "--rates is for a log with other column names; leave it out" in capsys.readouterr().err
     other = bench.measure_allan(log="other.toml")
     for one, two in zip(own.curves, other.curves, strict=True):
         assert two.measured == pytest.approx(one.measured, rel=1e-6)

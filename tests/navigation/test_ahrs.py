@@ -83,6 +83,18 @@ def test_an_unknown_heading_moves_with_the_gyros_alone(make):
         assert np.ptp(moved) < 0.1 * DEG
 
 
+def test_a_specific_force_that_is_too_short_does_not_hide_gravity():
+    """0.7 % of scale are 0.07 m/s^2 along the vertical, no 1.2 m/s^2 across it: the tilt is found at rest."""
+    truth = at_rest(120.0, 50.0, LLA, 0.05, 0.1, 0.3)
+
+    def shorten(data):
+        return replace(data, imu=replace(data.imu, dvel_b=0.993 * data.imu.dvel_b))
+
+    errors, _ = solve(truth, on_board(WHITE), change=shorten)
+    late = errors.t > 60.0
+    assert np.hypot(*errors.phi_n[late, :2].T).max() < 0.3 * DEG
+
+
 # --- at rest: closed forms ------------------------------------------------------------------------------
 
 

@@ -24,6 +24,7 @@ from bench.cli.verbs.flight_verbs import (
     write_first,
 )
 from bench.cli.verbs.printing import print_findings, print_wrapped
+from bench.core.mathematics.units import STANDARD_GRAVITY
 from bench.core.records.findings import FindingTable
 from bench.core.records.run_result import RunResult
 from bench.core.words.exceptions import ConfigError
@@ -229,8 +230,10 @@ def measure_allan(
     beside = Path(f"unit-{source}.toml") if sheet is None and unit is None else None
     if beside is not None:
         exchanging.check_sheet(beside, force=force)
-    if log is not None and not has_own_columns(log):
+    if log is not None and log.suffix != ".toml" and not has_own_columns(log):
         log = Path(_find_log(str(log), console, rates))
+    elif rates is not None:
+        raise ConfigError("--rates is for a log with other column names; leave it out")
     measured = exchanging.measure_allan(
         unit, log=log, seed=seed, picture=picture, sheet=sheet, gravity=gravity, force=force
     )
@@ -248,7 +251,9 @@ def measure_allan(
     white = {fit.triad: fit.estimates["random_walk"].low for fit in measured.fits}
     sentences += [_doubt_unit(triad) for triad, least in white.items() if least > _MOST[triad]]
     if measured.poses and gravity is None:
-        sentences.append("gravity 9.80665 m/s^2 assumed (--gravity): 0.1 % off is 1000 ppm of scale factor")
+        sentences.append(
+            f"gravity {STANDARD_GRAVITY:g} m/s^2 assumed (--gravity): 0.1 % off is 1000 ppm of scale factor"
+        )
     if sheet is not None:
         if not measured.poses:
             sentences.append(

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from bench.core.files import disk_arrays
 from bench.core.mathematics.arrays import BoolArray, FloatArray, find_later
 from bench.core.mathematics.earth import gravity_n
 from bench.core.mathematics.units import DEG, STANDARD_GRAVITY
@@ -131,18 +132,20 @@ def assume_range(spec: ImuSpec, imu: ImuData) -> tuple[ImuSpec, Check | None]:
     A range ends what an IMU can read, so a record with larger values is of another IMU. A few such values
     may be damaged, and do not count.
     """
-    rows = imu.valid & (imu.dt > 0.0)
     told, triads = [], dict[str, TriadSpec]()
     for name, increments, most, unit, factor in (
         ("gyro", imu.dtheta_b, RATE_LIMIT, "deg/s", DEG),
         ("accel", imu.dvel_b, _FORCE_LIMIT, "g", STANDARD_GRAVITY),
     ):
         triad: TriadSpec = getattr(spec, name)
-        sizes = np.abs(increments[rows]).max(axis=1, initial=0.0) / imu.dt[rows]
-        beyond = (sizes > _BEYOND * triad.range) & (sizes < most)
-        if triad.range and beyond.sum() >= _FEWEST_BEYOND:
-            triads[name] = replace(triad, range=0.0)
-            largest, end = sizes[beyond].max() / factor, triad.range / factor
+        count, largest = 0, 0.0
+        for rows in disk_arrays.blocks(len(imu.t)) if triad.range else ():
+            dt = np.where(imu.valid[rows], imu.dt[rows], np.inf)
+            sizes = np.abs(increments[rows]).max(axis=1) / dt
+            beyond = sizes[(sizes > _BEYOND * triad.range) & (sizes < most)]
+            count, largest = count + len(beyond), max(largest, float(beyond.max(initial=0.0)) / factor)
+        if count >= _FEWEST_BEYOND:
+            triads[name], end = replace(triad, range=0.0), triad.range / factor
             told.append(f"{name} values up to {largest:.4g} {unit}, its range is {end:.4g} {unit}")
     if not told:
         return spec, None

@@ -225,7 +225,7 @@ def _make_imu(rows: LogRows, spec: LogSpec, origin: float) -> ImuData:
         if rates or "interval" in values:
             return of[block] * dt[block, None] if rates else of[block]
         steps = dt[block, None] / median  # an increment is that of one sample, whatever is missing before it
-        return of[block] * np.where(steps > _MISSING, steps, 1.0)
+        return of[block] * np.where(steps > MISSING, steps, 1.0)
 
     def find_finite(block: slice) -> BoolArray:
         both = np.hstack([integrate(gyro, block), integrate(accel, block)])
@@ -266,7 +266,8 @@ def _check_length(imu: ImuData, spec: LogSpec) -> None:
     )
 
 
-_MISSING = 1.5  # an interval, in usual intervals, from which samples are missing before its row
+MISSING = 1.5
+"""Interval, in usual intervals, from which samples are missing before its row."""
 _LEAST_RATE = 5.0  # of an IMU [Hz]
 _LIMITS = (("latitude", "deg", -90.0, 90.0), ("longitude", "deg", -180.0, 360.0), ("height", "m", -1e3, 1e5))
 

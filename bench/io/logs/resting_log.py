@@ -15,7 +15,7 @@ from bench.core.words.exceptions import ConfigError
 from bench.evaluation.motion.noise_curves import INDEPENDENT
 from bench.evaluation.motion.pose_fit import FEWEST_POSES, count_poses, find_rests
 from bench.io.config.log import load_log
-from bench.io.logs.log_records import read_rows
+from bench.io.logs.log_records import MISSING, read_rows
 from bench.io.logs.table_files import find_first, group, list_columns, read_table
 
 FEWEST = 2 * INDEPENDENT
@@ -94,7 +94,7 @@ def read_resting_log(path: Path) -> RestingLog:
     if np.mean(np.abs(steps - step) > _UNEVEN * step) > _SHARE:
         low, high = np.quantile(steps, [0.05, 0.95])
         raise ConfigError(f"{shown}: steps of t_s are uneven, {low:.3g} to {high:.3g} s; record at one rate")
-    gaps = np.flatnonzero(np.abs(steps - step) > 0.5 * step) + 1
+    gaps = np.flatnonzero(np.abs(steps - step) > (MISSING - 1.0) * step) + 1
     rests = _find_rests(triads, step, shown)
     posed = len(rests) > 1
     pieces = [piece for rest in rests for piece in _divide(rest, gaps)]
@@ -158,7 +158,9 @@ def _read_log(path: Path) -> _Read:
     rows = read_rows(spec.imu, "imu")
     steps = np.diff(rows.t, prepend=2.0 * rows.t[0] - rows.t[1])[:, None]
     usual = float(np.median(steps))
-    steps[steps > 1.5 * usual] = usual  # an increment is that of one sample, whatever is missing before it
+    steps[steps > MISSING * usual] = (
+        usual  # an increment is that of one sample, whatever is missing before it
+    )
     triads = {
         name: rows.values[name] if name in rows.values else rows.values[increments] / steps
         for name, increments in (("gyro", "dtheta"), ("accel", "dvel"))

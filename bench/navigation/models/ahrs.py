@@ -56,7 +56,7 @@ _SHOWN = 3.0  # standard deviations by which |f| differs from g in an accelerati
 _LONGEST = 60.0  # an acceleration is remembered so long [s]
 _MODELED = ("gyro scale factor", "gyro misalignment", "gyro non-orthogonality", "magnetometer calibration")
 _VAGUE = np.radians(20.0)  # above this sigma the heading is that of the magnetometer [rad]
-_UNKNOWN = 1.0  # above this sigma the heading is that of the gyros: no linear error tells it [rad]
+_UNKNOWN = 1.0  # above this sigma the heading is unknown: no linear error describes it [rad]
 
 
 class Ahrs:
@@ -237,11 +237,10 @@ class AhrsFlight(SteppedFilter):
         self._update(t, GRAVITY, f_b + g_b, H, white + np.eye(3) * moved, PHI)
         self.earth_n = self._find_earth_rate()
 
-    def _knows_heading(self) -> bool:
-        return bool(self.C_nb[2] @ self.P[PHI, PHI] @ self.C_nb[2] <= _UNKNOWN**2)
-
     def _find_earth_rate(self) -> FloatArray:
-        return self.w_n if self._knows_heading() else self.w_n * np.array([0.0, 0.0, 1.0])
+        """Return the rate of the Earth to use: its horizontal direction needs a heading that is known."""
+        known = self.C_nb[2] @ self.P[PHI, PHI] @ self.C_nb[2] <= _UNKNOWN**2
+        return self.w_n if known else self.w_n * np.array([0.0, 0.0, 1.0])
 
     def _use_field(self, t: float, field_b: FloatArray, variance: FloatArray) -> None:
         """Compare the magnetic field measured (3,) [T], b, with the field of the model."""
@@ -280,8 +279,6 @@ class AhrsFlight(SteppedFilter):
             self.P = self.P + E @ E.T
             S = H @ self.P @ H.T + R
         K = np.linalg.solve(S, H @ self.P).T
-        if code == GRAVITY and not self._knows_heading():
-            K[PHI] -= np.outer(self.C_nb[2], self.C_nb[2] @ K[PHI])
         J = np.eye(len(self.P)) - K @ H
         x = K @ d
         back = rotation.matrix(rotation.from_rotvec(-x[PHI]))
