@@ -1,7 +1,7 @@
 """Every error of the sensors on board as constants and processes of a linear model, by source.
 
-The figures are those of the datasheets that the simulation draws from (`bench.simulation.sensors`), not
-those that a filter assumes. A constant is an error of one figure times a signal of the motion
+The figures are from the datasheets of the sensors on board (`bench.simulation.sensors`), not from the ones
+that a filter assumes. A constant is an error of one figure times a signal of the motion
 (`Path.factors`); a process is three independent Gauss-Markov states or random walks, or white noise. What
 is not Gaussian counts by an equal autocovariance (Tichavsky, Muravchik, Nehorai, IEEE Trans. Signal
 Processing 46 (5), 1998): roundings are white, jumps where the satellites change are, where their epochs

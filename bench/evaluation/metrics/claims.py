@@ -110,7 +110,7 @@ def nees_samples(case: Case) -> float:
 def nees_band(edge: Edge, case: Case) -> float | None:
     """The 99.9 % band of nees_mean in this run.
 
-    The band is that of the mean of nees_samples chi-square values. In simulations with errors that last from
+    It contains the mean of nees_samples chi-square values. In simulations with errors that last from
     one epoch to the whole run, a consistent filter is outside in at most 0.5 % of the runs.
     """
     return _find_edge(edge, case.states, case.nees_samples)

@@ -231,7 +231,7 @@ def check_velocity_noise(fit: MotionFit, motion: RecordedMotion) -> list[Check]:
 
 
 def guess_force_unit(ratio: float) -> str:
-    """Return what may be wrong if specific force is off by this ratio, as the end of a line."""
+    """Return the likely cause of this ratio of specific force to gravity, as the end of a line."""
     if abs(ratio * STANDARD_GRAVITY - 1.0) < 0.1:
         return ": are these g in a column of m/s^2?"
     if abs(ratio / STANDARD_GRAVITY - 1.0) < 0.1:
@@ -242,8 +242,8 @@ def guess_force_unit(ratio: float) -> str:
 def check_triads(fit: MotionFit, weigh: Callable[[], float] = lambda: np.inf) -> Check:
     """Check that gyros and accelerometers share their axes.
 
-    A large turn is far from linear, so its standard deviation may be too small: by ``weigh``, which returns
-    by how much the logarithm of the likelihood rises with the turn, it is told if that is `SIGMAS` as well.
+    A large turn is far from linear, so its standard deviation may be too small. It is therefore reported only
+    if the rise of the log likelihood with the turn, which ``weigh`` returns, is as large as `SIGMAS`, too.
     """
     each = [_take(fit, f"turn_{axis}") for axis in "xyz"]
     bad = [_is_off(turn, sd, TRIADS_OFF) for turn, sd in each]

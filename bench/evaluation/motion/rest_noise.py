@@ -57,9 +57,9 @@ def measure_rest_noise(
 def measure_vibration(imu: ImuData) -> tuple[FloatArray, FloatArray]:
     """Return the noise of gyros [rad/sqrt(s)] and accelerometers [m/s/sqrt(s)] (3,) while it shakes most.
 
-    Second differences of neighboring rates have sqrt(6) times the deviation of white noise, and next to
-    nothing of a motion that is slow against the samples. The figure is that of the noisiest fifth of the
-    seconds, by its median: an engine runs in the flight, not before it.
+    Second differences of neighboring rates have sqrt(6) times the standard deviation of white noise, and
+    hardly contain slow motion. The figure is the median of the noisiest fifth of the seconds, because an
+    engine runs in the flight, not before it.
     """
     rows = np.flatnonzero(imu.valid)
     dt = float(np.median(imu.dt[rows]))

@@ -33,7 +33,7 @@ class VelocityFrame(NamedTuple):
 
 
 def find_frame(by_position: FloatArray, by_velocity: FloatArray) -> VelocityFrame:
-    """Return the axes and the unit with which mean velocities (M, 3) fit those of the positions (M, 3)."""
+    """Return the axes and the unit with which velocities (M, 3) fit the changes of position (M, 3)."""
     given = np.eye(3)
     count = len(by_position) / _OVERLAP
 

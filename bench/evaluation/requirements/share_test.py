@@ -111,7 +111,7 @@ class ShareTest:
         return None
 
     def _steps(self, other: float) -> tuple[float, float]:
-        """Return what a run that keeps it, and one that does not, adds to the log likelihood ratio."""
+        """Return the change of the log likelihood ratio by a run that keeps it, and by one that does not."""
         return math.log(other / self.share), math.log((1.0 - other) / (1.0 - self.share))
 
     def _worse(self) -> float:

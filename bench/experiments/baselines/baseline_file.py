@@ -23,7 +23,7 @@ TOLERANCE = 0.02
 """Change that does not matter, as a fraction [1]; a baseline may say another."""
 
 CPU = "cpu_ratio"
-"""Metric of the CPU time of a filter over that of the strapdown alone, if it was asked for [1]."""
+"""Metric of the CPU time of a filter over the time of the strapdown alone, if it was asked for [1]."""
 
 UNKNOWN = ""
 """Digest of the sensor data of a run without a result."""
@@ -49,7 +49,7 @@ class Baseline(Table):
 
     format: int = FORMAT
     profile: str  # shipped name, or path of a .toml; in the file relative to its folder
-    requested: Annotated[tuple[str, ...], ROWS] | None  # filters asked for; null: those of the profile
+    requested: Annotated[tuple[str, ...], ROWS] | None  # filters asked for; null: the ones of the profile
     seed: int
     overrides: dict[str, Any] = Field(default_factory=dict)  # of the profile, as --set gives them
     tolerance: Annotated[float, NOT_NEGATIVE] = TOLERANCE

@@ -153,14 +153,12 @@ def _read_columns(path: Path) -> _Read:
 
 
 def _read_log(path: Path) -> _Read:
-    """Return the same of the IMU of a log, in its own axes."""
+    """Return name, times and triads of the IMU of a log, in its own axes."""
     spec = load_log(str(path))
     rows = read_rows(spec.imu, "imu")
     steps = np.diff(rows.t, prepend=2.0 * rows.t[0] - rows.t[1])[:, None]
     usual = float(np.median(steps))
-    steps[steps > MISSING * usual] = (
-        usual  # an increment is that of one sample, whatever is missing before it
-    )
+    steps[steps > MISSING * usual] = usual  # an increment is of one sample, as in `read_records`
     triads = {
         name: rows.values[name] if name in rows.values else rows.values[increments] / steps
         for name, increments in (("gyro", "dtheta"), ("accel", "dvel"))

@@ -85,7 +85,7 @@ def correction_period(admissible: float, start: float, gyro: float, accel: float
     Examples
     --------
     >>> deg = np.pi / 180  # 10 deg/h, 0.5 deg, 5 mg, limit 1 deg (A-5.4.10)
-    >>> round(correction_period(1.0 * deg, 0.5 * deg, 10 / 3600 * deg, 5e-3 * 9.80665), 1)
+    >>> round(correction_period(1.0 * deg, 0.5 * deg, 10 / 3600 * deg, 5e-3 * 9.8), 1)
     172.2
     """
     if admissible <= start:
