@@ -157,7 +157,8 @@ def _measure_log(log: Path, spec: ImuSpec | None, gravity: float | None) -> Alla
         record += f" (rows {rest.start + 1} to {rest.stop})"
     warmth = 0.0 if desk.temperature is None else float(np.ptp(desk.temperature))
     if poses and warmth > _WARMED:
-        also = f"the temperature changed by {warmth:.2g} K, and the biases with it"
+        also = f"the temperature changed by {warmth:.2g} K, so the biases may have changed; "
+        also += "record at one temperature"
         poses[-1] = replace(poses[-1], missing="; ".join(filter(None, [poses[-1].missing, also])))
     if poses:
         record += f", and {poses[-1].count} poses in a gravity of {gravity or STANDARD_GRAVITY:g} m/s^2"

@@ -151,11 +151,11 @@ def allan(unit: str | None, log: Path | None, **options: Any) -> int:
     FILE is a table (.csv, .parquet, .mat) of an IMU at rest, one row per sample. The columns are
     t_s, gyro_x_rad_s (or deg_s, deg_h), gyro_y_..., gyro_z_..., accel_x_m_s2 (or g, mg) and so on.
     One of the two triads may be missing. The effect of temperature_degc on the noise is removed.
-    FILE may also be any other recording, or the .toml of a log, that bench navigate reads.
+    FILE may also be a recording, or the .toml of a log, in any format that bench navigate reads.
 
     If the IMU rests for 5 s in each of six poses, 20 deg apart, bench also fits biases and scale factors
     of the accelerometers; with nine poses, some tilted, also misalignments and the gyros. The noise is
-    fitted to the longest rest without missing samples; it needs 1024 samples.
+    fitted to the longest part of a rest without missing samples; 1024 samples are needed.
 
     \b
     Examples:

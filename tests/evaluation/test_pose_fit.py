@@ -139,7 +139,7 @@ def test_gyros_that_contradict_the_poses_are_left_out_with_their_reason():
         (one,) = fit({**read, "gyro": wrong})[1].values()
         assert one.missing.startswith("gyros not fitted: 11 turns do not rotate gravity from pose to pose")
     slow, _ = turn_by_hand(TILTED, 4, turn_s=(40.0, 50.0), shake=0.0)
-    assert fit(slow)[1]["accel"].missing.startswith("gyros not fitted: 0 turns can be used (20 deg or more")
+    assert fit(slow)[1]["accel"].missing.startswith("gyros not fitted: 0 usable turns, 6 needed")
 
 
 def test_gravity_is_the_scale_of_the_accelerometers():
@@ -185,7 +185,9 @@ def test_an_error_that_is_not_significant_is_not_in_the_sheet(tmp_path):
 def test_a_saturated_axis_is_refused(tmp_path):
     read, _ = turn_by_hand(TILTED, 7)
     write_table(tmp_path / "poses.csv", {**read, "gyro": np.clip(read["gyro"], -0.3, 0.3)})
-    with pytest.raises(ConfigError, match=r"gyro_[xyz] is -?0.3 rad/s, the end .* it seems saturated"):
+    with pytest.raises(
+        ConfigError, match=r"gyro_[xyz] has its (largest|smallest) value, -?0.3 rad/s, in .* saturated"
+    ):
         bench.measure_allan(log=tmp_path / "poses.csv")
 
 
@@ -195,7 +197,9 @@ def test_a_change_of_temperature_between_poses_is_said(tmp_path, monkeypatch, ca
     for change, said in ((1.0, False), (5.0, True)):
         write_table(tmp_path / "poses.csv", read, np.linspace(20.0, 20.0 + change, len(read["gyro"])))
         assert main(["allan", "--log", "poses.csv", "--force"]) == 0
-        assert ("the temperature changed by 5 K, and the biases with it" in capsys.readouterr().out) == said
+        assert (
+            "the temperature changed by 5 K, so the biases may have changed" in capsys.readouterr().out
+        ) == said
 
 
 def test_five_poses_and_a_walk_are_refused_with_their_count(tmp_path):

@@ -92,5 +92,5 @@ def test_a_log_without_a_receiver_is_evaluated_at_its_rests(tmp_path, monkeypatc
     own = np.rad2deg(np.arctan2(np.hypot(up[:, 0], up[:, 1]), -up[:, 2]))
     assert metrics["rests"] == known.sum()
     assert metrics["tilt_rmse_deg"] == pytest.approx(np.sqrt(np.mean(own**2)), abs=0.3)
-    said = f"compared with the accelerometers where the IMU seems to come to rest, {known.sum()} times"
+    said = f"at {known.sum()} apparent rests, tilt is compared with the accelerometers"
     assert said in metrics["verdict_text"]

@@ -332,7 +332,7 @@ def test_noise_of_another_unit_is_doubted(here, capsys):
 def test_a_short_log_has_curves_and_no_datasheet(here, capsys):
     desk_log(here / "desk.csv", seconds=10.0)
     assert main(["allan", "--log", "desk.csv"]) == 0
-    assert "no datasheet: a fit needs 1024 samples or more" in capsys.readouterr().out
+    assert ": a fit needs 1024 samples at rest in one pose; record for longer" in capsys.readouterr().out
     assert list(here.glob("*.toml")) == []
     assert main(["allan", "--log", "desk.csv", "--sheet", "mine.toml", "--force"]) == 2
     assert "mine.toml: a datasheet needs 1024 samples or more at rest in one pose" in capsys.readouterr().err

@@ -246,13 +246,14 @@ def measure_allan(
     outside = f"{measured.outside} of {measured.points} values lie outside their 99.9 % band{mark}."
     sentences = [*fits, f"picture: {picture}", *([outside] if measured.simulated else [])]
     if beside is not None and not measured.fits:
-        needs = f"a fit needs {FEWEST} samples or more at rest in one pose"
-        sentences.append(f"no datasheet: {needs}; found {measured.record}")
+        needs = f"a fit needs {FEWEST} samples at rest in one pose; record for longer"
+        sentences.append(f"no datasheet from {measured.record}: {needs}")
     white = {fit.triad: fit.estimates["random_walk"].low for fit in measured.fits}
     sentences += [_doubt_unit(triad) for triad, least in white.items() if least > _MOST[triad]]
     if measured.poses and gravity is None:
         sentences.append(
-            f"gravity {STANDARD_GRAVITY:g} m/s^2 assumed (--gravity): 0.1 % off is 1000 ppm of scale factor"
+            f"gravity of {STANDARD_GRAVITY:g} m/s^2 assumed; if it is wrong by 0.1 %, so are scale factors: "
+            "give --gravity"
         )
     if sheet is not None:
         if not measured.poses:
@@ -275,8 +276,8 @@ _MOST = {"gyro": np.deg2rad(5.0) / 60.0, "accel": 0.02}
 def _doubt_unit(triad: str) -> str:
     used = {"gyro": "rad/s, or deg/s", "accel": "m/s^2, or g"}[triad]
     return (
-        f"{triad}: more than 5 times the white noise of any IMU of the catalog (!): did it vibrate, and are "
-        f"its columns in {used}?"
+        f"{triad}: more than 5 times the white noise of any IMU of the catalog (!): check that "
+        f"the unit in the column names is right ({used}), and record without vibration"
     )
 
 

@@ -214,8 +214,8 @@ def _judge_by_innovations(label: str, values: Mapping[str, Any]) -> _Judgment:
     if values.get("without_fixes"):
         used = "the log has no fixes and no reference to evaluate it"
         if "rests" in values:
-            times = f"{values['rests']} time{'s' if values['rests'] > 1 else ''}"
-            used += f"; tilt is compared with the accelerometers where the IMU seems to come to rest, {times}"
+            rests = f"{values['rests']} apparent rest{'s' if values['rests'] > 1 else ''}"
+            used += f"; at {rests}, tilt is compared with the accelerometers"
     if loud:
         reason = _describe_innovations(loud, values)
         return _Judgment(

@@ -208,8 +208,8 @@ def _fit_gyro(
     spare = 2 * len(turns) - 9
     if len(turns) < _FEWEST_TURNS:
         return (
-            f"gyros not fitted: {len(turns)} turns can be used (20 deg or more, up to {_LONGEST_TURN:g} s, "
-            f"no missing samples); {_FEWEST_TURNS} are needed"
+            f"gyros not fitted: {len(turns)} usable turns, {_FEWEST_TURNS} needed; turn by 20 deg or more "
+            f"within {_LONGEST_TURN:g} s, without missing samples"
         )
     x = np.zeros(9)
     for _ in range(5):

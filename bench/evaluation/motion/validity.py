@@ -146,12 +146,13 @@ def assume_range(spec: ImuSpec, imu: ImuData) -> tuple[ImuSpec, Check | None]:
             count, largest = count + len(beyond), max(largest, float(beyond.max(initial=0.0)) / factor)
         if count >= _FEWEST_BEYOND:
             triads[name], end = replace(triad, range=0.0), triad.range / factor
-            told.append(f"{name} values up to {largest:.4g} {unit}, its range is {end:.4g} {unit}")
+            told.append(f"{name} up to {largest:.4g} {unit}, beyond the {end:.4g} {unit} of the datasheet")
     if not told:
         return spec, None
-    text = f"imu: is not the assumed {spec.name}: {'; '.join(told)}. Name yours in [sensors.assumed]; "
+    unused = "which is not used" if len(told) == 1 else "which are not used"
+    text = f"imu: not the assumed {spec.name}: {', '.join(told)}, {unused}; "
     spec = replace(spec, gyro=triads.get("gyro", spec.gyro), accel=triads.get("accel", spec.accel))
-    return spec, Check("imu_range", None, f"{text}the range is not used", False)
+    return spec, Check("imu_range", None, f"{text}name your IMU in [sensors.assumed]", False)
 
 
 def check_rest(motion: RecordedMotion) -> list[Check]:

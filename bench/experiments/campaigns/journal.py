@@ -98,7 +98,7 @@ class Journal:
     Raises
     ------
     ConfigError
-        If the journal is not a regular file, or a link.
+        If the journal is a link, a pipe or a device, or larger than 4 GB.
     """
 
     def __init__(self, path: Path) -> None:

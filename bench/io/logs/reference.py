@@ -180,7 +180,9 @@ def _read_rows(
         q_en = rotation.from_matrix(matrix_en(*lla[known, :2].T))
         q_nb[known] = read_attitudes(table, given, q_en, np.flatnonzero(known) + 1, shown)
     if placeless and not np.isfinite(q_nb).all(axis=1).any():
-        raise ConfigError(f"{shown}: no row has all angles ({', '.join(table.names['attitude'])}) as numbers")
+        raise ConfigError(
+            f"{shown}: no row has all angles ({', '.join(table.names['attitude'])}) as numbers; fill them in"
+        )
     rows, placed = replace(rows, values={**rows.values, "q_nb": q_nb}), None
     if not placeless:
         rows, placed = place_rows(rows, table, placing, shown)

@@ -89,7 +89,7 @@ def read_resting_log(path: Path) -> RestingLog:
             f"{shown}: row {k + 2}: t_s does not increase, it steps by {steps[k]:.6g} s; cut the record there"
         )
     if step > _LONGEST_STEP:
-        expected = f"expected above 0 to {_LONGEST_STEP:g} s: is it in ms or us?"
+        expected = f"expected above 0 to {_LONGEST_STEP:g} s: convert it to s"
         raise ConfigError(f"{shown}: steps of t_s are {step:g} s; {expected}")
     if np.mean(np.abs(steps - step) > _UNEVEN * step) > _SHARE:
         low, high = np.quantile(steps, [0.05, 0.95])
@@ -100,14 +100,16 @@ def read_resting_log(path: Path) -> RestingLog:
     pieces = [piece for rest in rests for piece in _divide(rest, gaps)]
     if posed:
         pieces = [one for one in pieces if _count(one) * step >= _SHORTEST_PIECE]
-        whole = _count_poses(triads, pieces) >= FEWEST_POSES
+        found, needed = _count_poses(triads, pieces), FEWEST_POSES
+        rest = f"{found} poses have {_SHORTEST_PIECE:g} s without a gap, {needed} are needed"
     else:
         pieces = [max(pieces, key=_count)]
-        whole = not len(gaps) or _count(pieces[0]) >= max(FEWEST, _PIECE * len(t))
-    if not whole:
+        found, needed = _count(pieces[0]), max(FEWEST, round(_PIECE * len(t))) if len(gaps) else 0
+        rest = f"the longest piece has {found} rows, {needed} are needed"
+    if found < needed:
         raise ConfigError(
-            f"{shown}: samples are missing before {len(gaps)} rows, the first is row {gaps[0] + 1}; "
-            f"the longest piece at rest has {max(map(_count, pieces), default=0)} rows, too few of {len(t)}"
+            f"{shown}: samples are missing before {len(gaps)} rows, the first is row {gaps[0] + 1}; {rest}; "
+            "record again without gaps"
         )
     return RestingLog(t, triads, temperature, tuple(pieces), posed, gaps)
 
@@ -127,7 +129,7 @@ def _count_poses(triads: Mapping[str, FloatArray], rests: Sequence[slice]) -> in
 
 
 def has_own_columns(path: Path) -> bool:
-    """Return whether a file is a table with the columns of `read_resting_log`; others are found by a log.
+    """Return whether a table has the columns of `read_resting_log`; True for a missing file, reported later.
 
     Raises
     ------
@@ -193,7 +195,7 @@ def _find_rests(triads: Mapping[str, FloatArray], step: float, shown: str) -> tu
         if abs(force - STANDARD_GRAVITY) > _OFF and (force > _NO_FORCE or len(rests) > 1):
             why = "if the values are in g, name the columns accel_x_g, y and z"
             if abs(force - 1.0) > _ONE:
-                why = "is its unit m/s^2, and gravity in it?"
+                why = "name the columns by their unit, accel_x_m_s2 or accel_x_g, and leave gravity in them"
             raise ConfigError(
                 f"{shown}: the mean specific force is {force:.3g} m/s^2, at rest it is 9.8: {why}"
             )
@@ -214,8 +216,9 @@ def _check_values(name: str, rates: FloatArray, shown: str) -> None:
         if len(values) > _MANY and max(counts[0], counts[-1]) > max(20, _CLIPPED * len(column)):
             k = 0 if counts[0] > counts[-1] else -1
             raise ConfigError(
-                f"{shown}: {name}_{axis} is {values[k]:.6g} {_MOVED[name][1]}, the end of its values, in "
-                f"{counts[k]} of {len(column)} rows: it seems saturated; record with a larger range"
+                f"{shown}: {name}_{axis} has its {'largest' if k else 'smallest'} value, {values[k]:.6g} "
+                f"{_MOVED[name][1]}, in {counts[k]} of {len(column)} rows, so it seems saturated; record "
+                "with a larger range"
             )
         step = float(np.median(np.diff(values))) if len(values) < _FEW else 0.0
         if (sd := float(np.diff(column).std()) / np.sqrt(2.0)) < _FINE * step:

@@ -10,10 +10,10 @@ With f = a - g,
 
     f_est + g = g x phi - db_a + a + noise,   |f|^2 = g^2 + a^2 if a is horizontal.
 
-``a`` is noise. Its variance is that of the options, and the a^2 that the length of f shows where it differs
-from g by more than three standard deviations: that of a horizontal one if f is longer than g, else that of a
-vertical one. This counts once for each period that it has lasted, because an acceleration that lasts, as in a
-turn, is no white noise. A turn so widens the covariance and hardly moves the attitude.
+``a`` is noise. Its variance is acceleration_sd^2 of the options; where |f| differs from g by more than three
+standard deviations, plus a^2 = |f|^2 - g^2 (a horizontal) if |f| > g, else (g - |f|)^2 (a vertical). a^2 is
+multiplied by the number of periods that it has lasted, because an acceleration that lasts, as in a turn, is
+no white noise. A turn therefore widens the covariance and hardly moves the attitude.
 """
 
 from __future__ import annotations
@@ -228,7 +228,7 @@ class AhrsFlight(SteppedFilter):
         spread = float(along @ (mean @ self.P[ACCEL, ACCEL] @ mean.T + white) @ along)
         shown = (length - g) ** 2 > _SHOWN**2 * spread
         self.lasting = min(self.lasting + 1.0, _LONGEST / T) if shown else 0.0
-        size2 = length**2 - g**2 if length > g else (g - length) ** 2  # which no horizontal one makes
+        size2 = length**2 - g**2 if length > g else (g - length) ** 2  # no horizontal one shortens f
         moved = self.options.acceleration_sd**2 + self.lasting * size2
         H = np.zeros((3, len(self.P)))
         H[:, PHI], H[:, ACCEL] = rotation.skew(g_b), -mean
